@@ -1,0 +1,339 @@
+use rayon::prelude::*;
+
+/// A set of voxels: one bit each, rows of u64 words along x, rows ordered by y, then z.
+#[derive(Clone, PartialEq, Eq)]
+pub struct BitGrid {
+    dims: [usize; 3],
+    words_per_row: usize,
+    words: Vec<u64>,
+}
+
+impl std::fmt::Debug for BitGrid {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [x, y, z] = self.dims;
+        write!(f, "BitGrid {x}×{y}×{z}, {} solid", self.count())
+    }
+}
+
+/// Words per parallel task: 256 KiB, about a core's second-level cache.
+const CHUNK: usize = 32 * 1024;
+
+impl BitGrid {
+    /// An empty grid.
+    pub fn new(dims: [usize; 3]) -> Self {
+        let words_per_row = dims[0].div_ceil(64);
+        BitGrid { dims, words_per_row, words: vec![0; words_per_row * dims[1] * dims[2]] }
+    }
+
+    /// A grid that is solid where `f(x, y, z)` holds.
+    pub fn from_fn(dims: [usize; 3], f: impl Fn([usize; 3]) -> bool + Sync) -> Self {
+        let mut g = BitGrid::new(dims);
+        g.par_rows_mut().for_each(|(y, z, row)| {
+            for x in 0..dims[0] {
+                if f([x, y, z]) {
+                    row[x / 64] |= 1 << (x % 64);
+                }
+            }
+        });
+        g
+    }
+
+    pub fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    /// Words a row takes; the bits past `dims[0]` are zero.
+    pub fn words_per_row(&self) -> usize {
+        self.words_per_row
+    }
+
+    pub fn words(&self) -> &[u64] {
+        &self.words
+    }
+
+    /// Valid bits of the last word of a row.
+    pub fn last_word_mask(&self) -> u64 {
+        match self.dims[0] % 64 {
+            0 => !0,
+            n => (1 << n) - 1,
+        }
+    }
+
+    fn row_start(&self, y: usize, z: usize) -> usize {
+        debug_assert!(y < self.dims[1] && z < self.dims[2]);
+        (y + self.dims[1] * z) * self.words_per_row
+    }
+
+    pub fn row(&self, y: usize, z: usize) -> &[u64] {
+        let s = self.row_start(y, z);
+        &self.words[s..s + self.words_per_row]
+    }
+
+    /// A row to write to; the caller keeps the bits past `dims[0]` zero.
+    pub fn row_mut(&mut self, y: usize, z: usize) -> &mut [u64] {
+        let s = self.row_start(y, z);
+        &mut self.words[s..s + self.words_per_row]
+    }
+
+    /// All rows with their (y, z), in parallel; the bits past `dims[0]` must stay zero.
+    pub fn par_rows_mut(
+        &mut self,
+    ) -> impl IndexedParallelIterator<Item = (usize, usize, &mut [u64])> {
+        let ny = self.dims[1];
+        // A grid with an empty axis has no rows; chunks of at least one word keep rayon content.
+        self.words
+            .par_chunks_mut(self.words_per_row.max(1))
+            .with_min_len(16)
+            .enumerate()
+            .map(move |(r, row)| (r % ny, r / ny, row))
+    }
+
+    pub fn get(&self, [x, y, z]: [usize; 3]) -> bool {
+        debug_assert!(x < self.dims[0]);
+        self.words[self.row_start(y, z) + x / 64] >> (x % 64) & 1 == 1
+    }
+
+    /// False outside the grid.
+    pub fn get_or_empty(&self, p: [i64; 3]) -> bool {
+        let inside = (0..3).all(|a| p[a] >= 0 && p[a] < self.dims[a] as i64);
+        inside && self.get(p.map(|c| c as usize))
+    }
+
+    pub fn set(&mut self, [x, y, z]: [usize; 3], solid: bool) {
+        debug_assert!(x < self.dims[0]);
+        let i = self.row_start(y, z) + x / 64;
+        let bit = 1 << (x % 64);
+        if solid { self.words[i] |= bit } else { self.words[i] &= !bit }
+    }
+
+    /// Number of solid voxels.
+    pub fn count(&self) -> usize {
+        self.words
+            .par_chunks(CHUNK)
+            .map(|c| c.iter().map(|w| w.count_ones() as usize).sum::<usize>())
+            .sum()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.words.iter().all(|w| *w == 0)
+    }
+
+    fn zip_words(&mut self, other: &BitGrid, f: impl Fn(&mut u64, u64) + Sync) {
+        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
+        self.words
+            .par_chunks_mut(CHUNK)
+            .zip(other.words.par_chunks(CHUNK))
+            .for_each(|(a, b)| a.iter_mut().zip(b).for_each(|(a, b)| f(a, *b)));
+    }
+
+    pub fn union_with(&mut self, other: &BitGrid) {
+        self.zip_words(other, |a, b| *a |= b);
+    }
+
+    pub fn intersect_with(&mut self, other: &BitGrid) {
+        self.zip_words(other, |a, b| *a &= b);
+    }
+
+    pub fn subtract(&mut self, other: &BitGrid) {
+        self.zip_words(other, |a, b| *a &= !b);
+    }
+
+    /// A ∪ B.
+    pub fn or(&self, other: &BitGrid) -> BitGrid {
+        let mut g = self.clone();
+        g.union_with(other);
+        g
+    }
+
+    /// A ∩ B.
+    pub fn and(&self, other: &BitGrid) -> BitGrid {
+        let mut g = self.clone();
+        g.intersect_with(other);
+        g
+    }
+
+    /// A − B.
+    pub fn minus(&self, other: &BitGrid) -> BitGrid {
+        let mut g = self.clone();
+        g.subtract(other);
+        g
+    }
+
+    /// |A ∩ B| without making it.
+    pub fn count_and(&self, other: &BitGrid) -> usize {
+        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
+        self.words
+            .par_chunks(CHUNK)
+            .zip(other.words.par_chunks(CHUNK))
+            .map(|(a, b)| {
+                a.iter().zip(b).map(|(a, b)| (a & b).count_ones() as usize).sum::<usize>()
+            })
+            .sum()
+    }
+
+    pub fn is_subset_of(&self, other: &BitGrid) -> bool {
+        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
+        self.words.iter().zip(&other.words).all(|(a, b)| a & !b == 0)
+    }
+
+    pub fn intersects(&self, other: &BitGrid) -> bool {
+        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
+        self.words.iter().zip(&other.words).any(|(a, b)| a & b != 0)
+    }
+
+    /// Solid voxels in x, y, z order.
+    pub fn iter_ones(&self) -> impl Iterator<Item = [usize; 3]> + '_ {
+        let (w, ny) = (self.words_per_row.max(1), self.dims[1]);
+        self.words.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(move |(i, &bits)| {
+            let (r, base) = (i / w, i % w * 64);
+            let mut rest = bits;
+            std::iter::from_fn(move || {
+                (rest != 0).then(|| {
+                    let x = base + rest.trailing_zeros() as usize;
+                    rest &= rest - 1;
+                    [x, r % ny, r / ny]
+                })
+            })
+        })
+    }
+
+    /// Runs of solid voxels as (y, z, x, length), in order.
+    pub fn runs(&self) -> impl Iterator<Item = (usize, usize, usize, usize)> + '_ {
+        let (nx, ny, nz) = (self.dims[0], self.dims[1], self.dims[2]);
+        (0..nz).flat_map(move |z| (0..ny).map(move |y| (y, z))).flat_map(move |(y, z)| {
+            let row = self.row(y, z);
+            let mut x = 0;
+            std::iter::from_fn(move || {
+                let start = next_bit(row, nx, x, true)?;
+                let end = next_bit(row, nx, start, false).unwrap_or(nx);
+                x = end;
+                Some((y, z, start, end - start))
+            })
+        })
+    }
+
+    /// Sets voxels x..x+len of a row.
+    pub fn fill_run(&mut self, y: usize, z: usize, x: usize, len: usize) {
+        assert!(x + len <= self.dims[0]);
+        let row = self.row_mut(y, z);
+        let (mut at, end) = (x, x + len);
+        while at < end {
+            let (w, b) = (at / 64, at % 64);
+            let n = (64 - b).min(end - at);
+            row[w] |= (if n == 64 { !0 } else { (1u64 << n) - 1 }) << b;
+            at += n;
+        }
+    }
+
+    /// Inclusive box of the solid voxels.
+    pub fn extent(&self) -> Option<([usize; 3], [usize; 3])> {
+        let mut span: Option<([usize; 3], [usize; 3])> = None;
+        for (y, z, x, n) in self.runs() {
+            let (lo, hi) = ([x, y, z], [x + n - 1, y, z]);
+            span = Some(match span {
+                None => (lo, hi),
+                Some((a, b)) => (
+                    std::array::from_fn(|i| a[i].min(lo[i])),
+                    std::array::from_fn(|i| b[i].max(hi[i])),
+                ),
+            });
+        }
+        span
+    }
+
+    /// Solid voxels with an empty face neighbour (outside the grid counts as empty).
+    pub fn boundary(&self) -> BitGrid {
+        let mut out = BitGrid::new(self.dims);
+        let (ny, nz, w) = (self.dims[1], self.dims[2], self.words_per_row);
+        out.par_rows_mut().for_each(|(y, z, o)| {
+            let row = self.row(y, z);
+            let side = |dy: isize, dz: isize| {
+                let (y, z) = (y.checked_add_signed(dy), z.checked_add_signed(dz));
+                match (y, z) {
+                    (Some(y), Some(z)) if y < ny && z < nz => Some(self.row(y, z)),
+                    _ => None,
+                }
+            };
+            let sides = [side(-1, 0), side(1, 0), side(0, -1), side(0, 1)];
+            for i in 0..w {
+                let mut inner = (row[i] << 1 | if i > 0 { row[i - 1] >> 63 } else { 0 })
+                    & (row[i] >> 1 | if i + 1 < w { row[i + 1] << 63 } else { 0 });
+                for s in &sides {
+                    inner &= s.map_or(0, |s| s[i]);
+                }
+                o[i] = row[i] & !inner;
+            }
+        });
+        out
+    }
+}
+
+fn next_bit(row: &[u64], nx: usize, from: usize, value: bool) -> Option<usize> {
+    let mut i = from / 64;
+    if from >= nx {
+        return None;
+    }
+    let flip = if value { 0 } else { !0 };
+    let mut word = (row[i] ^ flip) & (!0 << (from % 64));
+    loop {
+        if word != 0 {
+            let x = i * 64 + word.trailing_zeros() as usize;
+            return (x < nx).then_some(x);
+        }
+        i += 1;
+        if i == row.len() {
+            return None;
+        }
+        word = row[i] ^ flip;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn grid() -> impl Strategy<Value = BitGrid> {
+        (1usize..140, 1usize..5, 1usize..4).prop_flat_map(|(x, y, z)| {
+            proptest::collection::vec(any::<bool>(), x * y * z).prop_map(move |bits| {
+                BitGrid::from_fn([x, y, z], |[i, j, k]| bits[i + x * (j + y * k)])
+            })
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn runs_and_ones_tell_the_same_story(g in grid()) {
+            let mut again = BitGrid::new(g.dims());
+            for (y, z, x, n) in g.runs() {
+                again.fill_run(y, z, x, n);
+            }
+            prop_assert_eq!(&again, &g);
+            let mut ones = BitGrid::new(g.dims());
+            g.iter_ones().for_each(|v| ones.set(v, true));
+            prop_assert_eq!(&ones, &g);
+            prop_assert_eq!(g.iter_ones().count(), g.count());
+        }
+
+        #[test]
+        fn boundary_is_what_the_definition_says(g in grid()) {
+            let naive = BitGrid::from_fn(g.dims(), |v| {
+                let p = v.map(|c| c as i64);
+                g.get(v) && (0..3).any(|a| [-1, 1].iter().any(|s| {
+                    let mut q = p;
+                    q[a] += s;
+                    !g.get_or_empty(q)
+                }))
+            });
+            prop_assert_eq!(g.boundary(), naive);
+        }
+
+        #[test]
+        fn booleans_obey_their_laws(a in grid(), seed in any::<u64>()) {
+            let b = BitGrid::from_fn(a.dims(), |[x, y, z]| (seed >> ((x * 7 + y * 3 + z) % 64)) & 1 == 1);
+            prop_assert_eq!(a.minus(&b).or(&a.and(&b)), a.clone());
+            prop_assert_eq!(a.count_and(&b), a.and(&b).count());
+            prop_assert!(a.and(&b).is_subset_of(&a) && !a.minus(&b).intersects(&b));
+        }
+    }
+}
