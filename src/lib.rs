@@ -13,5 +13,7 @@
 //! z up, and the fabrication base is the plane z = 0.
 
 pub mod base;
+pub mod machine;
 pub mod mesh;
+pub mod plan;
 pub mod voxel;
