@@ -16,4 +16,5 @@ pub mod base;
 pub mod machine;
 pub mod mesh;
 pub mod plan;
+pub mod verify;
 pub mod voxel;
