@@ -16,5 +16,9 @@ pub mod base;
 pub mod machine;
 pub mod mesh;
 pub mod plan;
-pub mod toolpath;
+pub mod verify;
 pub mod voxel;
+
+pub mod toolpath;
+
+pub mod gcode;
