@@ -220,9 +220,12 @@ fn a_program_of_another_plan_does_less_or_more_than_promised() {
     assert!(!report(&a, &posted(&b)).passed());
     let w = tower("generic-5axis");
     let mut text = posted(&w);
-    // One bead run printed twice.
-    let on = lines_where(&text, |l| l == "M72")[10];
-    let off = *lines_where(&text, |l| l == "M73").iter().find(|l| **l > on).unwrap();
+    // One closed bead printed twice.
+    let stops = lines_where(&text, |l| l == "M73");
+    let next = |on: usize| *stops.iter().find(|l| **l > on).unwrap();
+    let starts = lines_where(&text, |l| l == "M72");
+    let on = *starts.iter().skip(1).find(|on| next(**on) > **on + 4).unwrap();
+    let off = next(on);
     let lines: Vec<&str> = text.lines().collect();
     let again =
         [&lines[..off - 1], &lines[on..off - 1], &lines[on..off - 1], &lines[off - 1..]].concat();
