@@ -15,7 +15,7 @@ use crate::voxel::{BitGrid, Frame};
 
 /// Smallest fraction of a subtractive region that the edge must sweep. Every voxel has a tip that
 /// reaches it; passes a stepover apart leave ridges and corners, which the surface tolerance covers.
-pub const LEAST_SWEPT: f64 = 0.97;
+pub const LEAST_SWEPT: f64 = 0.98;
 
 /// Smallest fraction of an additive region within reach of a bead. Specks and walls thinner than
 /// a bead get none.

@@ -244,6 +244,29 @@ fn row_tables(img: &Image, widest: usize) -> Vec<RowMax> {
 impl RowMax {
     /// row[i] = max(row[i], max of the table's cells within `half` of i + shift, less z).
     fn lift(&self, row: &mut [f32], shift: i64, half: i64, z: f32) {
+        let (n, len) = (self.0[0].len() as i64, row.len() as i64);
+        // Where the whole chord lies in the row, two lookups a cell do.
+        let from = (half - shift).clamp(0, len);
+        let to = (n - half - shift).clamp(from, len);
+        let width = 2 * half as usize + 1;
+        let k = width.ilog2() as usize;
+        if let Some(level) = self.0.get(k).filter(|_| to > from) {
+            let count = (to - from) as usize;
+            let left = (from + shift - half) as usize;
+            let right = left + width - (1 << k);
+            let pairs = level[left..left + count].iter().zip(&level[right..right + count]);
+            for (r, (a, b)) in row[from as usize..to as usize].iter_mut().zip(pairs) {
+                *r = r.max(a.max(*b) - z);
+            }
+            self.lift_cut(&mut row[..from as usize], shift, half, z);
+            self.lift_cut(&mut row[to as usize..], shift + to, half, z);
+        } else {
+            self.lift_cut(row, shift, half, z);
+        }
+    }
+
+    /// The same cell by cell, for chords that the row's ends cut.
+    fn lift_cut(&self, row: &mut [f32], shift: i64, half: i64, z: f32) {
         let n = self.0[0].len() as i64;
         for (i, r) in row.iter_mut().enumerate() {
             let c = i as i64 + shift;
@@ -251,8 +274,7 @@ impl RowMax {
             if a > b {
                 continue;
             }
-            let len = (b - a + 1) as usize;
-            let k = (len.ilog2() as usize).min(self.0.len() - 1);
+            let k = ((b - a + 1).ilog2() as usize).min(self.0.len() - 1);
             let level = &self.0[k];
             let span = 1usize << k;
             let (mut at, last) = (a as usize, b as usize + 1 - span);

@@ -44,6 +44,8 @@ pub enum ToolpathError {
     WrongGrid { step: usize, found: [usize; 3], expected: [usize; 3] },
     #[error("step {step} prints, but machine '{machine}' has no extruder; add [extruder]")]
     NoExtruder { step: usize, machine: String },
+    #[error("step {step} has an empty region; leave it out of the plan")]
+    NothingToDo { step: usize },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
@@ -74,6 +76,9 @@ impl Replay {
             let (found, expected) = (step.region.dims(), job.frame.dims);
             if found != expected {
                 return Err(ToolpathError::WrongGrid { step: i, found, expected });
+            }
+            if step.region.is_empty() {
+                return Err(ToolpathError::NothingToDo { step: i });
             }
             let state = &states[i];
             if held.as_ref().is_none_or(|h| h.0 != step.holding) {

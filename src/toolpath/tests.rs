@@ -76,10 +76,10 @@ fn block(p: DVec3) -> bool {
     p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 12.0
 }
 
-/// Whether a point lies in a pocket open upward, with all lower edges rounded by 2.5 mm: more than
+/// Whether a point lies in a pocket open upward, with all lower edges rounded by 3 mm: more than
 /// the ball end's radius, so that every voxel is within its reach.
 fn in_pocket(p: DVec3, low: DVec3, high: DVec3) -> bool {
-    const ROUND: f64 = 2.5;
+    const ROUND: f64 = 3.0;
     let out = (low + ROUND - p).max(p - (high - ROUND)).max(DVec3::ZERO);
     let open = DVec3::new(out.x, out.y, (low.z + ROUND - p.z).max(0.0));
     open.length() < ROUND
@@ -239,6 +239,10 @@ fn plans_that_do_not_fit_the_job_are_refused() {
     let mut w = pocket("generic-5axis");
     w.plan.steps[0].region = BitGrid::new([3, 3, 3]);
     assert!(for_unverified(&w.job, &w.plan, &Ctx::quiet()).is_err());
+    let mut w = pocket("generic-5axis");
+    w.plan.steps[0].region = BitGrid::new(w.job.frame.dims);
+    let refused = for_unverified(&w.job, &w.plan, &Ctx::quiet());
+    assert!(matches!(refused, Err(ToolpathError::NothingToDo { step: 0 })));
 }
 
 /// A rib cut off a small block and a bar printed on it: the smallest whole program.
@@ -250,4 +254,67 @@ pub(crate) fn tiny(machine: &str) -> World {
     let steps: [(StepKind, DVec3, Part); 2] =
         [(StepKind::Subtractive, DVec3::Z, rib), (StepKind::Additive, DVec3::Z, bar)];
     world(machine, 0.5, size, start, &steps)
+}
+
+/// A block of 100 mm with slots cut and bars printed from twelve directions: as many voxels, steps and
+/// as much material as a bracket.
+pub(crate) fn large(machine: &str) -> World {
+    let start: Part = |p| p.x > 5.0 && p.x < 95.0 && p.y > 5.0 && p.y < 95.0 && p.z < 70.0;
+    let dirs = [
+        DVec3::Z,
+        DVec3::new(0.0, 1.0, 1.0),
+        DVec3::new(1.0, 0.0, 1.0),
+        DVec3::new(-1.0, 0.3, 1.0),
+        DVec3::new(0.2, -1.0, 1.0),
+        DVec3::new(0.1, 0.2, 1.0),
+    ];
+    let cuts: [Part; 6] = [
+        |p| p.z > 66.0 && p.x > 20.0,
+        |p| p.y + p.z > 148.0,
+        |p| p.x + p.z > 148.0,
+        |p| -p.x + 0.3 * p.y + p.z > 66.0,
+        |p| 0.2 * p.x - p.y + p.z > 64.0,
+        |p| p.z + 0.1 * p.x + 0.2 * p.y > 84.0,
+    ];
+    let adds: [Part; 6] = [
+        |p| p.z < 72.0 && p.x > 40.0 && p.x < 60.0 && p.y > 30.0 && p.y < 70.0,
+        |p| {
+            p.y + p.z > 140.0
+                && p.y + p.z < 156.0
+                && p.x > 25.0
+                && p.x < 50.0
+                && p.z - p.y < 0.0
+                && p.z - p.y > -40.0
+        },
+        |p| {
+            p.x + p.z > 140.0
+                && p.x + p.z < 156.0
+                && p.y > 30.0
+                && p.y < 60.0
+                && p.z - p.x < 0.0
+                && p.z - p.x > -40.0
+        },
+        |p| p.z < 76.0 && p.x > 30.0 && p.x < 55.0 && p.y > 30.0 && p.y < 55.0,
+        |p| p.z < 78.0 && p.x > 30.0 && p.x < 55.0 && p.y > 30.0 && p.y < 55.0,
+        |p| p.z < 80.0 && p.x > 30.0 && p.x < 50.0 && p.y > 30.0 && p.y < 50.0,
+    ];
+    let mut steps: Vec<(StepKind, DVec3, Part)> = Vec::new();
+    for (d, c) in dirs.iter().zip(cuts) {
+        steps.push((StepKind::Subtractive, *d, c));
+    }
+    for (i, a) in adds.into_iter().enumerate() {
+        steps.push((StepKind::Additive, if i < 3 { dirs[i] } else { DVec3::Z }, a));
+    }
+    world(machine, 0.5, DVec3::splat(100.0), start, &steps)
+}
+
+#[test]
+fn verified_plans_give_verified_paths() {
+    for (name, make) in WORLDS {
+        let w = make("generic-5axis");
+        let verdict = crate::verify::verify(&w.job, w.plan.clone(), &Ctx::quiet()).unwrap();
+        let broken: Vec<_> = verdict.rules.iter().filter(|r| !r.passed).cloned().collect();
+        let Ok(verified) = verdict.into_verified() else { panic!("{name}: {broken:?}") };
+        assert!(for_plan(&w.job, &verified, &Ctx::quiet()).unwrap().verified());
+    }
 }
