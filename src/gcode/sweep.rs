@@ -151,7 +151,7 @@ impl Lowest {
     fn cell_of(&self, uv: DVec2) -> Option<[usize; 2]> {
         let g = ((uv - self.origin) / self.cell).floor();
         let inside = g.x >= 0.0 && g.y >= 0.0 && g.x < self.n[0] as f64 && g.y < self.n[1] as f64;
-        inside.then(|| [g.x as usize, g.y as usize])
+        inside.then_some([g.x as usize, g.y as usize])
     }
 
     /// False when the tip is outside.

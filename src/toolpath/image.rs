@@ -63,7 +63,7 @@ impl Lattice {
     pub fn cell(&self, uv: DVec2) -> Option<Cell> {
         let g = ((uv - self.origin) / self.s).round();
         let inside = g.x >= 0.0 && g.y >= 0.0 && g.x < self.n[0] as f64 && g.y < self.n[1] as f64;
-        inside.then(|| [g.x as usize, g.y as usize])
+        inside.then_some([g.x as usize, g.y as usize])
     }
 
     pub fn index(&self, c: Cell) -> usize {

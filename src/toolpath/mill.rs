@@ -318,10 +318,10 @@ impl<'a> Stage<'a> {
             let p = self.work.frame.center(v);
             all += 1;
             let height = l.plane.height(p) as f32;
-            if let Some(c) = l.cell(l.plane.across(p)) {
-                if -reached.data[l.index(c)] > height + half {
-                    left.push((c, height));
-                }
+            if let Some(c) = l.cell(l.plane.across(p))
+                && -reached.data[l.index(c)] > height + half
+            {
+                left.push((c, height));
             }
         }
         let share = 1.0 - left.len() as f64 / all.max(1) as f64;

@@ -82,7 +82,7 @@ fn outlines(lattice: &Lattice, values: &[f32]) -> Vec<Outline> {
         }
     }
     let point = |edge: usize| {
-        let (a, b) = (edge / 2, edge / 2 + if edge % 2 == 0 { 1 } else { nx });
+        let (a, b) = (edge / 2, edge / 2 + if edge.is_multiple_of(2) { 1 } else { nx });
         let t = (LEVEL - values[a]) / (values[b] - values[a]);
         let (p, q) = (lattice.uv(lattice.cell_of_index(a)), lattice.uv(lattice.cell_of_index(b)));
         p.lerp(q, f64::from(t))

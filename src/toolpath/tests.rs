@@ -123,7 +123,10 @@ pub(crate) fn tilted(machine: &str) -> World {
     )
 }
 
-pub(crate) const WORLDS: [(&str, fn(&str) -> World); 3] =
+/// Makes a world for the machine of this name.
+pub(crate) type Make = fn(&str) -> World;
+
+pub(crate) const WORLDS: [(&str, Make); 3] =
     [("pocket", pocket), ("tower", tower), ("tilted", tilted)];
 
 fn paths(w: &World) -> Vec<Toolpath> {
