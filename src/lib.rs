@@ -12,6 +12,7 @@
 //! Lengths are millimetres, angles radians unless a name ends in `_deg`; frames are right-handed,
 //! z up, and the fabrication base is the plane z = 0.
 
+pub mod access;
 pub mod base;
 pub mod machine;
 pub mod mesh;
