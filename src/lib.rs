@@ -16,5 +16,6 @@ pub mod access;
 pub mod base;
 pub mod machine;
 pub mod mesh;
+pub mod search;
 pub mod plan;
 pub mod voxel;

@@ -1,0 +1,3 @@
+use crate::machine::{Holding, HoldingMode};
+use crate::plan_rules::Held;
+use crate::voxel::{BitGrid, Frame};
