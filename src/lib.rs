@@ -12,10 +12,12 @@
 //! Lengths are millimetres, angles radians unless a name ends in `_deg`; frames are right-handed,
 //! z up, and the fabrication base is the plane z = 0.
 
-pub mod access;
 pub mod base;
-pub mod machine;
 pub mod mesh;
+pub mod voxel;
+pub mod machine;
+pub mod region;
+pub mod access;
 pub mod search;
 pub mod plan;
-pub mod voxel;
+pub mod planner;

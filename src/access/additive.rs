@@ -1,9 +1,7 @@
-//! What one direction can print: carriers (self-support) and nozzle access.
+//! What carries a deposit along a direction (self-support).
 
-use super::{DepthMap, Scene, nozzle_map, reachable};
 use crate::base::{DVec3, Direction};
-use crate::machine::Tool;
-use crate::voxel::{BitGrid, Frame};
+use crate::voxel::BitGrid;
 use rayon::prelude::*;
 
 /// The neighbours that can carry a voxel along a direction within an overhang angle.
@@ -75,21 +73,6 @@ pub fn supported(table: &CarrierTable, solid: &BitGrid, candidates: &BitGrid) ->
         }
     });
     out
-}
-
-/// The voxels of `candidates` where the nozzle can stand over `state` and the fixed points.
-pub fn depositable(
-    frame: &Frame,
-    state: &BitGrid,
-    candidates: &BitGrid,
-    fixed: &[DVec3],
-    tool: &Tool,
-    direction: Direction,
-    dip_mm: f64,
-) -> BitGrid {
-    let scene = Scene::new(frame, state, fixed);
-    let map: DepthMap = nozzle_map(&scene, tool, direction, dip_mm);
-    reachable(&map, candidates, frame)
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@
 //! anywhere in their cell.
 
 use super::Scene;
-use crate::base::{DVec2, DVec3, Direction, ImagePlane};
+use crate::base::{Aabb, DVec2, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
 use crate::voxel::Frame;
 use rayon::prelude::*;
@@ -51,11 +51,17 @@ struct Lattice {
 }
 
 impl Lattice {
-    /// Cells that hold every point of the frame's box and `margin` mm around it. `pool` cells of
-    /// the tip lattice make one cell along each axis.
-    fn around(frame: &Frame, plane: &ImagePlane, spacing: f64, margin: f64, pool: usize) -> Self {
+    /// Cells that hold every point of the box `b` and `margin` mm around it. `pool` cells of
+    /// the tip lattice, which is anchored to the frame, make one cell along each axis.
+    fn around(
+        frame: &Frame,
+        b: &Aabb,
+        plane: &ImagePlane,
+        spacing: f64,
+        margin: f64,
+        pool: usize,
+    ) -> Self {
         let anchor = plane.across(frame.center([0, 0, 0]));
-        let b = frame.bounds();
         let (mut lo, mut hi) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for i in 0..8 {
             let pick = |bit: usize, lo: f64, hi: f64| if i >> bit & 1 == 0 { lo } else { hi };
@@ -95,14 +101,15 @@ fn rounding_cells(direction: Direction) -> f64 {
     if direction.is_grid_axis() { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 }
 }
 
-/// G of the depth engine: a voxel x can be cut along `direction` when x_z ≥ G at its cell.
-pub fn cutter_map(scene: &Scene, tool: &Tool, direction: Direction) -> DepthMap {
+/// G of the depth engine: a voxel x in the box `within` can be cut along `direction` when
+/// x_z ≥ G at its cell.
+pub fn cutter_map(scene: &Scene, within: &Aabb, tool: &Tool, direction: Direction) -> DepthMap {
     let plane = direction.image_plane();
     let s = spacing(&scene.frame, direction);
     let rounding = rounding_cells(direction);
     let radius = tool.active_radius();
     let lift: Vec<(Section, f64)> = tool.sections.iter().map(|sec| (*sec, 0.0)).collect();
-    let (window, free) = lowest_tip(scene, &plane, s, radius + s, &lift, rounding);
+    let (window, free) = lowest_tip(scene, within, &plane, s, radius + s, &lift, rounding);
     let mut kernel = Vec::new();
     let reach = (radius / s).floor() as isize;
     // A face mill spans hundreds of cells; every n-th tip of them suffices, since missing a tip
@@ -127,9 +134,16 @@ pub fn cutter_map(scene: &Scene, tool: &Tool, direction: Direction) -> DepthMap 
     DepthMap { plane, lattice: window, lowest }
 }
 
-/// H of a nozzle whose tip stands at the deposited voxel: x can be deposited when x_z ≥ H at its
-/// cell. Sections that reach the tip may stand `dip_mm` lower than the obstacles allow.
-pub fn nozzle_map(scene: &Scene, tool: &Tool, direction: Direction, dip_mm: f64) -> DepthMap {
+/// H of a nozzle whose tip stands at the deposited voxel: x in the box `within` can be deposited
+/// when x_z ≥ H at its cell. Sections that reach the tip may stand `dip_mm` lower than the
+/// obstacles allow.
+pub fn nozzle_map(
+    scene: &Scene,
+    within: &Aabb,
+    tool: &Tool,
+    direction: Direction,
+    dip_mm: f64,
+) -> DepthMap {
     let plane = direction.image_plane();
     let s = spacing(&scene.frame, direction);
     // Here the tip too is anywhere in its cell.
@@ -139,21 +153,22 @@ pub fn nozzle_map(scene: &Scene, tool: &Tool, direction: Direction, dip_mm: f64)
         .iter()
         .map(|sec| (*sec, if sec.shape.lower_surface(0.0) == 0.0 { dip_mm } else { 0.0 }))
         .collect();
-    let (lattice, lowest) = lowest_tip(scene, &plane, s, s, &lift, rounding);
+    let (lattice, lowest) = lowest_tip(scene, within, &plane, s, s, &lift, rounding);
     DepthMap { plane, lattice, lowest }
 }
 
-/// H over the frame's box and `margin` mm around it: max over obstacle points of
+/// H over the box `within` and `margin` mm around it: max over obstacle points of
 /// o_z − f(ρ) − lift, section by section.
 fn lowest_tip(
     scene: &Scene,
+    within: &Aabb,
     plane: &ImagePlane,
     spacing: f64,
     margin: f64,
     sections: &[(Section, f64)],
     rounding_cells: f64,
 ) -> (Lattice, Vec<f32>) {
-    let window = Lattice::around(&scene.frame, plane, spacing, margin, 1);
+    let window = Lattice::around(&scene.frame, within, plane, spacing, margin, 1);
     let mut lowest = vec![f32::NEG_INFINITY; window.nu * window.nv];
     let mut images: Vec<(usize, Lattice, Vec<f32>)> = Vec::new();
     for &(section, lift) in sections {
@@ -171,7 +186,7 @@ fn lowest_tip(
         if !images.iter().any(|(p, ..)| *p == pool) {
             // One image per pooling, wide enough for every section treated on it.
             let wide = margin + (WIDEST_CELLS + 2.0) * pool as f64 * spacing;
-            let lattice = Lattice::around(&scene.frame, plane, spacing, wide, pool);
+            let lattice = Lattice::around(&scene.frame, within, plane, spacing, wide, pool);
             images.push((pool, lattice, depth_image(scene, plane, &lattice)));
         }
         let Some((_, lattice, image)) = images.iter().find(|(p, ..)| *p == pool) else { continue };
@@ -186,7 +201,7 @@ fn lowest_tip(
             filter(lattice, image, &window, &mut lowest, &kernel, raise);
         } else {
             let over = margin + spacing;
-            let coarse_window = Lattice::around(&scene.frame, plane, spacing, over, pool);
+            let coarse_window = Lattice::around(&scene.frame, within, plane, spacing, over, pool);
             let mut coarse = vec![f32::NEG_INFINITY; coarse_window.nu * coarse_window.nv];
             filter(lattice, image, &coarse_window, &mut coarse, &kernel, raise);
             spread(&coarse_window, &coarse, &window, &mut lowest);
@@ -362,8 +377,8 @@ mod tests {
             let tool = cutter(radius, length, holder);
             let axes = [Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y, Direction::Z];
             let d = axes.get(pick).copied().unwrap_or_else(|| fibonacci_sphere(40)[pick]);
-            let cut = cutter_map(&scene, &tool, d);
-            let print = nozzle_map(&scene, &tool, d, 0.2);
+            let cut = cutter_map(&scene, &frame.bounds(), &tool, d);
+            let print = nozzle_map(&scene, &frame.bounds(), &tool, d, 0.2);
             // Ties at equal height are decided by a rounding margin: the exact engine is asked
             // again a hair lower and a hair higher.
             let hair = d.vec() * 1e-3;

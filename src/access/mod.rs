@@ -16,7 +16,7 @@ mod depth;
 mod scene;
 mod subtractive;
 
-pub use additive::{CarrierTable, depositable, supported};
+pub use additive::{CarrierTable, supported};
 pub use depth::{DepthMap, cutter_map, nozzle_map};
 pub use scene::Scene;
-pub use subtractive::{Cut, over_cut, reachable};
+pub use subtractive::{Cut, over_cut, reachable, world_extent};

@@ -8,4 +8,4 @@ mod base_surface;
 mod volumes;
 
 pub use base_surface::{Facet, PrintingBase, printing_bases};
-pub use volumes::{Volumes, steady};
+pub use volumes::{Volumes, above, steady};
