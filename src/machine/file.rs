@@ -269,8 +269,12 @@ mod tests {
             ("\"ball\"", "\"bal\"", "unknown variant `bal`, expected one of `ball`"),
             ("radius = 1.5", "radius = \"x\"", "expected f64"),
             ("radius = 1.5", "radius = nan", "NaN is not a length between"),
-            ("radius = 1.5", "radius = 1.5, z0 = 3.0", "a ball takes radius"),
-            ("r0 = 1.5, ", "", "key `r0` is missing; a frustum takes z0, r0, z1, r1"),
+            ("section = [", "section = [{ shape = \"ball\", z0 = 3.0 },", "1: key `z0` does not"),
+            (
+                "section = [",
+                "section = [{ shape = \"ball\" },",
+                "`radius` is missing; a ball takes",
+            ),
             ("z1 = 13.0", "z1 = 1.0", "z1 = 1 must lie above z0 = 1.5"),
             ("name = \"w2v-cutter\"", "name = \"\"", "must be 1 to 64 letters"),
         ] {
