@@ -76,22 +76,22 @@ fn warn_about_tools(machine: &Machine, findings: &mut Vec<String>) {
 
 /// Height at which the tool's outline first shrinks upward, if it does below its top.
 fn narrows_at(tool: &Tool) -> Option<f64> {
-    // Just above and below every end of a section the outline is where it can step.
+    // Between the ends of sections the outline is monotone, so it is enough to look just below and
+    // just above each of them.
     const STEP_MM: f64 = 1e-6;
-    let widest = |z: f64| {
-        let at = |s: &super::Section| s.shape.radius_at(z);
-        tool.sections.iter().filter_map(at).fold(0.0, f64::max)
-    };
-    let top = tool.sections.iter().map(|s| s.shape.top()).fold(0.0, f64::max);
-    let mut heights: Vec<f64> =
+    let widest =
+        |z: f64| tool.sections.iter().filter_map(|s| s.shape.radius_at(z)).fold(0.0, f64::max);
+    let mut ends: Vec<f64> =
         tool.sections.iter().flat_map(|s| [s.shape.bottom(), s.shape.top()]).collect();
-    heights.retain(|z| *z < top);
-    heights.sort_by(f64::total_cmp);
-    heights.dedup();
-    let probes: Vec<f64> = heights.iter().flat_map(|z| [z - STEP_MM, z + STEP_MM]).collect();
-    let tops = [top.min(heights.last().map_or(top, |z| z + 1e4)) - STEP_MM];
-    let all: Vec<f64> = probes.into_iter().chain(tops).filter(|z| *z >= 0.0).collect();
-    all.windows(2).find(|w| widest(w[1]) < widest(w[0]) - 1e-5).map(|w| w[0])
+    ends.sort_by(f64::total_cmp);
+    ends.dedup();
+    let top = ends.pop()?;
+    let mut probes: Vec<f64> =
+        ends.iter().flat_map(|z| [z - STEP_MM, z + STEP_MM]).filter(|z| *z >= 0.0).collect();
+    if top.is_finite() {
+        probes.push(top - STEP_MM);
+    }
+    probes.windows(2).find(|w| widest(w[1]) < widest(w[0]) - 10.0 * STEP_MM).map(|w| w[0])
 }
 
 fn warn_about_axes(machine: &Machine, findings: &mut Vec<String>) {
