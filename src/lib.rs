@@ -21,3 +21,4 @@ pub mod access;
 pub mod search;
 pub mod plan;
 pub mod planner;
+pub mod verify;
