@@ -19,7 +19,7 @@ pub enum InvalidMesh {
 
 /// Coordinates beyond this (mm) make squared lengths and grid sizes overflow long before they
 /// could be a part; a kilometre is a thousand times the largest machine.
-const FARTHEST_MM: f64 = 1e9;
+pub(super) const FARTHEST_MM: f64 = 1e9;
 
 impl TriMesh {
     /// Checks that every vertex is finite and every index in range.

@@ -70,7 +70,7 @@ impl Frame {
             && g.x < self.dims[0] as f64
             && g.y < self.dims[1] as f64
             && g.z < self.dims[2] as f64;
-        inside.then(|| [g.x as usize, g.y as usize, g.z as usize])
+        inside.then_some([g.x as usize, g.y as usize, g.z as usize])
     }
 
     /// Volume of one voxel, mm³.

@@ -15,7 +15,15 @@
 //! ```
 
 mod bitgrid;
+mod closure;
 mod frame;
+mod loops;
+mod repair;
+mod voxelise;
+#[cfg(test)]
+mod voxelise_tests;
+mod winding;
 
 pub use bitgrid::BitGrid;
 pub use frame::{Frame, FrameTooLarge};
+pub use voxelise::voxelise;
