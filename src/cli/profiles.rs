@@ -70,3 +70,15 @@ pub fn tool(action: &ProfileAction) -> Result<Exit, Failure> {
 fn list(names: &[&str]) -> Result<Exit, Failure> {
     print_lines(&names.join("\n"))
 }
+
+fn print_lines(text: &str) -> Result<Exit, Failure> {
+    print(format!("{}\n", text.trim_end()).as_bytes())
+}
+
+/// The outcome of a check: every complaint on a line, or that there is none.
+fn report(file: &Path, name: &str, complaints: &[String]) -> Result<Exit, Failure> {
+    if complaints.is_empty() {
+        return print_lines(&format!("{}: '{name}' is fine", file.display()));
+    }
+    Err(Failure::Input(format!("{}: {}", file.display(), complaints.join("; "))))
+}

@@ -32,10 +32,10 @@ pub fn page(
         },
         machine => &file.machine.name,
         tools => file.tools.iter().map(|t| &t.name).collect::<Vec<_>>(),
-        summary => s,
-        rules => rules,
+        summary => Value::from_serialize(s),
+        rules => Value::from_serialize(rules),
         steps => steps(file, job, plan),
-        program => &file.program,
+        program => Value::from_serialize(&file.program),
     })
 }
 
@@ -65,7 +65,7 @@ fn steps(file: &PlanFile, job: &Job, plan: &Plan) -> Vec<Value> {
         let d = step.direction.vec();
         rows.push(context! {
             index => record.index,
-            kind => step.kind,
+            kind => Value::from_serialize(step.kind),
             tool => &step.tool,
             direction => format!("{:.3}, {:.3}, {:.3}", d.x + 0.0, d.y + 0.0, d.z + 0.0),
             holding => step.holding + 1,
