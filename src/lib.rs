@@ -13,7 +13,11 @@
 //! z up, and the fabrication base is the plane z = 0.
 
 pub mod base;
-pub mod machine;
 pub mod mesh;
-pub mod plan;
 pub mod voxel;
+pub mod machine;
+pub mod region;
+pub mod access;
+pub mod search;
+pub mod plan;
+pub mod planner;

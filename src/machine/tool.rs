@@ -57,6 +57,10 @@ pub enum InvalidTool {
 const LARGEST_MM: f64 = 10_000.0;
 
 impl Tool {
+    pub fn new(name: &str, kind: ToolKind, sections: Vec<Section>) -> Tool {
+        Tool { name: name.into(), kind, sections }
+    }
+
     /// Checks every figure; call it on whatever comes from a file.
     pub fn validate(&self) -> Result<(), InvalidTool> {
         let tool = || self.name.clone();

@@ -44,6 +44,7 @@ mod edges;
 mod error;
 mod health;
 mod instance;
+mod nearest;
 mod nesting;
 mod obj;
 mod off;
@@ -59,6 +60,7 @@ mod write;
 
 pub use error::{Defect, Place, ReadError};
 pub use health::Health;
+pub use nearest::{NearestTriangle, SurfacePoint};
 pub use read::{Format, LoadedMesh, ReadOptions, read};
 pub use tri::{InvalidMesh, TriMesh};
 pub use write::{write_obj, write_stl};

@@ -16,14 +16,18 @@
 
 mod bitgrid;
 mod closure;
+mod components;
 mod frame;
 mod loops;
 mod repair;
+mod runs;
 mod voxelise;
 #[cfg(test)]
 mod voxelise_tests;
 mod winding;
 
 pub use bitgrid::BitGrid;
+pub use components::{Components, Connectivity, components, flood};
 pub use frame::{Frame, FrameTooLarge};
+pub use runs::{RunRows, RunsError};
 pub use voxelise::voxelise;
