@@ -17,6 +17,7 @@
 mod bitgrid;
 mod closure;
 mod components;
+mod distance;
 mod frame;
 mod loops;
 mod repair;
@@ -28,6 +29,7 @@ mod winding;
 
 pub use bitgrid::BitGrid;
 pub use components::{Components, Connectivity, components, flood};
+pub use distance::{NOWHERE, distance_squared, distance_within};
 pub use frame::{Frame, FrameTooLarge};
 pub use runs::{RunRows, RunsError};
 pub use voxelise::voxelise;
