@@ -1,5 +1,10 @@
+use super::kinematics::{AxisValues, Chain, RotaryAngles};
+use super::orient::Unreachable;
+use super::placement::Placement;
+use super::process::{Control, Extruder};
+use super::travel::{NoPosture, Overtravel};
 use super::{Tool, ToolKind, Workholding};
-use crate::base::Direction;
+use crate::base::{DVec3, Direction};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -8,26 +13,89 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct Machine {
     pub name: String,
+    #[serde(default)]
+    pub description: String,
     pub workholding: Workholding,
+    pub kinematics: Chain,
+    pub control: Control,
+    /// Without one the machine only cuts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extruder: Option<Extruder>,
     #[serde(rename = "tool", default)]
     pub tools: Vec<Tool>,
-    /// Largest angle between the tool axis and the holding's up direction, degrees.
-    pub max_tilt_deg: f64,
 }
 
 impl Machine {
-    /// Tools of one kind, shortest reach first: the order in which a planner tries them.
+    /// Tools of one kind, shortest reach first, equal reaches in the order of the file: the order
+    /// in which a planner tries them.
     pub fn tools_of(&self, kind: ToolKind) -> Vec<&Tool> {
         let mut tools: Vec<&Tool> = self.tools.iter().filter(|t| t.kind == kind).collect();
         tools.sort_by(|a, b| a.reach(a.tip_radius()).total_cmp(&b.reach(b.tip_radius())));
         tools
     }
 
+    /// The tool of this name in the machine's table.
+    pub fn tool(&self, name: &str) -> Option<&Tool> {
+        self.tools.iter().find(|t| t.name == name)
+    }
+
     /// Whether the rotary axes can point the tool along `d` (workpiece frame) while the part is
     /// held with `up` away from the table.
     pub fn can_point(&self, up: Direction, d: Direction) -> bool {
-        // The lattice's own rounding must not decide a limit.
-        const ROUNDING_DEG: f64 = 1e-6;
-        up.dot(d.vec()).clamp(-1.0, 1.0).acos().to_degrees() <= self.max_tilt_deg + ROUNDING_DEG
+        !self.kinematics.solutions(&Placement::turned(up), d).is_empty()
+    }
+
+    /// See [`Chain::solutions`].
+    pub fn solutions(&self, placement: &Placement, d: Direction) -> Vec<RotaryAngles> {
+        self.kinematics.solutions(placement, d)
+    }
+
+    /// See [`Chain::nearest`].
+    pub fn nearest(
+        &self,
+        placement: &Placement,
+        d: Direction,
+        previous: RotaryAngles,
+    ) -> Result<RotaryAngles, Unreachable> {
+        self.kinematics.nearest(placement, d, previous)
+    }
+
+    /// See [`Chain::posture`]; the gauge length is the tool's.
+    pub fn posture(
+        &self,
+        placement: &Placement,
+        d: Direction,
+        previous: RotaryAngles,
+        tool: &Tool,
+        tips: &[DVec3],
+    ) -> Result<RotaryAngles, NoPosture> {
+        self.kinematics.posture(placement, d, previous, tool.gauge_mm(), tips)
+    }
+
+    /// See [`Chain::axes`]; the gauge length is the tool's.
+    pub fn axes(
+        &self,
+        placement: &Placement,
+        rotary: RotaryAngles,
+        tip: DVec3,
+        tool: &Tool,
+    ) -> AxisValues {
+        self.kinematics.axes(placement, rotary, tip, tool.gauge_mm())
+    }
+
+    /// See [`Chain::tip`]; the gauge length is the tool's.
+    pub fn tip(&self, placement: &Placement, axes: AxisValues, tool: &Tool) -> (DVec3, Direction) {
+        self.kinematics.tip(placement, axes, tool.gauge_mm())
+    }
+
+    /// See [`Chain::check_travel`]; the gauge length is the tool's.
+    pub fn check_travel(
+        &self,
+        placement: &Placement,
+        rotary: RotaryAngles,
+        tool: &Tool,
+        tips: &[DVec3],
+    ) -> Result<(), Overtravel> {
+        self.kinematics.check_travel(placement, rotary, tool.gauge_mm(), tips)
     }
 }

@@ -1,3 +1,4 @@
+use super::process::Process;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -39,6 +40,9 @@ pub struct Tool {
     pub kind: ToolKind,
     #[serde(rename = "section")]
     pub sections: Vec<Section>,
+    /// What it is run with.
+    #[serde(default)]
+    pub process: Process,
 }
 
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -51,6 +55,8 @@ pub enum InvalidTool {
     NothingCuts { tool: String },
     #[error("tool '{tool}': nothing touches the tip (z = 0)")]
     NoTip { tool: String },
+    #[error("tool '{tool}', process: {what}")]
+    BadProcess { tool: String, what: String },
 }
 
 /// No machine tool is larger (mm); a larger figure is a wrong unit and would size images by it.
@@ -80,7 +86,7 @@ impl Tool {
         if self.lower_surface(0.0) != 0.0 {
             return Err(InvalidTool::NoTip { tool: tool() });
         }
-        Ok(())
+        self.process.validate().map_err(|what| InvalidTool::BadProcess { tool: tool(), what })
     }
 
     /// Height over the tip of the tool's lower surface at radius `rho` (mm): f(ρ) of the depth
@@ -106,6 +112,13 @@ impl Tool {
     /// Top of the active part over the tip, mm: how deep the edge cuts.
     pub fn active_length(&self) -> f64 {
         self.active().map(|s| s.top()).fold(0.0, f64::max)
+    }
+
+    /// Gauge length: tip to spindle nose, mm. Unless the tool says otherwise the head is its
+    /// topmost section, and the nose that section's lower face.
+    pub fn gauge_mm(&self) -> f64 {
+        let head = self.sections.iter().max_by(|a, b| a.shape.top().total_cmp(&b.shape.top()));
+        self.process.gauge_mm.unwrap_or_else(|| head.map_or(0.0, |s| s.shape.bottom()))
     }
 
     /// Largest finite radius, mm; a platform does not count.
@@ -203,6 +216,15 @@ impl Shape {
         }
     }
 
+    /// Lowest height of the shape, mm.
+    pub fn bottom(&self) -> f64 {
+        match *self {
+            Shape::Ball { .. } | Shape::BullNose { .. } => 0.0,
+            Shape::Frustum { z0, .. } => z0,
+            Shape::Platform { z } => z,
+        }
+    }
+
     /// Highest height of the shape, mm.
     pub fn top(&self) -> f64 {
         match *self {
@@ -241,6 +263,7 @@ mod tests {
                 },
                 Section { shape: Shape::Platform { z: 43.0 }, active: false },
             ],
+            process: Process::default(),
         }
     }
 
@@ -254,6 +277,7 @@ mod tests {
         assert_eq!(t.lower_surface(26.0), 43.0);
         assert_eq!(t.active_lower_surface(10.0), f64::INFINITY);
         assert_eq!((t.active_radius(), t.active_length(), t.reach(1.5)), (1.5, 13.0, 13.0));
+        assert_eq!(t.gauge_mm(), 43.0);
         assert!(t.contains(1.4, 5.0) && !t.contains(1.6, 5.0) && t.contains(100.0, 44.0));
     }
 

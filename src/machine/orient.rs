@@ -1,0 +1,175 @@
+//! Which rotary angles point the tool along a direction: the inverse of the rotary axes.
+//!
+//! Whatever body the two rotaries are on, the condition R_h z = R_t w (w the direction in machine
+//! coordinates) has the form R(a, α) p = R(b, β) q with known axes a, b and unit vectors p, q.
+//! Both sides are one unit vector x with a · x = a · p and b · x = b · q: two planes and the unit
+//! sphere meet in two points, one or none. Then α turns p to x and β turns q to x. This is
+//! the second of the Paden–Kahan subproblems.
+
+use super::kinematics::{Chain, Mount, Rotary, RotaryAngles};
+use super::placement::Placement;
+use crate::base::{DVec3, Direction};
+
+/// No angles within the limits point the tool along the direction.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "no {first} and {second} within the limits point the tool along ({:.6}, {:.6}, {:.6}); \
+     choose another direction or holding",
+    .direction.vec().x, .direction.vec().y, .direction.vec().z
+)]
+pub struct Unreachable {
+    pub direction: Direction,
+    pub first: char,
+    pub second: char,
+}
+
+/// Below this sine a vector lies on a rotary axis and the angle about it is free. Larger values
+/// would treat directions apart as one; smaller ones would take an angle out of rounding noise.
+const SINGULAR_SINE: f64 = 1e-9;
+
+/// Largest negative square that counts as rounding of zero: two planes that touch the sphere.
+const TANGENT_SQUARE: f64 = 1e-14;
+
+/// Angles of one branch in degrees; `None` where any angle does.
+#[derive(Clone, Copy, Debug)]
+struct Branch {
+    alpha: Option<f64>,
+    beta: Option<f64>,
+}
+
+/// R(a, α) p = R(b, β) q.
+fn common_vector(a: DVec3, p: DVec3, b: DVec3, q: DVec3) -> Vec<Branch> {
+    let k = a.dot(b);
+    let normal = a.cross(b);
+    let sine = normal.length();
+    if sine < SINGULAR_SINE {
+        return Vec::new();
+    }
+    // x in the basis a, e₁ = part of b across a, e₂ = a × e₁. The square of the part of x across
+    // a is |a × p|²; taking it from the cross product keeps its digits where p nears a.
+    let e1 = (b - a * k) / sine;
+    let e2 = normal / sine;
+    let across = a.cross(p).length();
+    let c1 = (b.dot(q) - k * a.dot(p)) / sine;
+    let square = (across - c1) * (across + c1);
+    if square < -TANGENT_SQUARE {
+        return Vec::new();
+    }
+    let c2 = square.max(0.0).sqrt();
+    let signs: &[f64] = if c2 < SINGULAR_SINE { &[0.0] } else { &[1.0, -1.0] };
+    signs
+        .iter()
+        .map(|sign| {
+            let x = a * a.dot(p) + e1 * c1 + e2 * (sign * c2);
+            Branch { alpha: turn_deg(a, p, x), beta: turn_deg(b, q, x) }
+        })
+        .collect()
+}
+
+/// The angle about `axis` that turns `from` to `to`; `None` when `from` lies on the axis.
+fn turn_deg(axis: DVec3, from: DVec3, to: DVec3) -> Option<f64> {
+    let from_across = from - axis * axis.dot(from);
+    let to_across = to - axis * axis.dot(to);
+    if from_across.length() < SINGULAR_SINE {
+        return None;
+    }
+    let angle = axis.dot(from_across.cross(to_across)).atan2(from_across.dot(to_across));
+    // −0° and 0° are the same posture and must print the same.
+    Some(angle.to_degrees() + 0.0)
+}
+
+impl Chain {
+    fn branches(&self, placement: &Placement, d: Direction) -> Vec<[Option<f64>; 2]> {
+        let w = placement.machine_from_work.transform_vector3(d.vec()).normalize();
+        let (one, two) = (self.first.axis.vec(), self.second.axis.vec());
+        let neg = |angle: Option<f64>| angle.map(|a| 0.0 - a);
+        match (self.first.on, self.second.on) {
+            // R₁ R₂ w = z  ⇔  R₂(θ₂) w = R₁(−θ₁) z
+            (Mount::Table, Mount::Table) => common_vector(two, w, one, DVec3::Z)
+                .into_iter()
+                .map(|b| [neg(b.beta), b.alpha])
+                .collect(),
+            // R₂(θ₂) w = R₁(θ₁) z
+            (Mount::Head, Mount::Table) => common_vector(two, w, one, DVec3::Z)
+                .into_iter()
+                .map(|b| [b.beta, b.alpha])
+                .collect(),
+            (Mount::Table, Mount::Head) => common_vector(one, w, two, DVec3::Z)
+                .into_iter()
+                .map(|b| [b.alpha, b.beta])
+                .collect(),
+            // w = R₁ R₂ z  ⇔  R₁(−θ₁) w = R₂(θ₂) z
+            (Mount::Head, Mount::Head) => common_vector(one, w, two, DVec3::Z)
+                .into_iter()
+                .map(|b| [neg(b.alpha), b.beta])
+                .collect(),
+        }
+    }
+
+    /// As [`Chain::solutions`], but nearest to `previous` first, whole turns and free axes chosen
+    /// by it as well.
+    pub fn nearest_first(
+        &self,
+        placement: &Placement,
+        d: Direction,
+        previous: RotaryAngles,
+    ) -> Vec<RotaryAngles> {
+        let pick = |axis: &Rotary, angle: Option<f64>, previous: f64| match angle {
+            Some(angle) => axis.turn_nearest(angle, previous),
+            None => Some(axis.free_nearest(previous)),
+        };
+        let mut found: Vec<RotaryAngles> = self
+            .branches(placement, d)
+            .into_iter()
+            .filter_map(|[first, second]| {
+                Some(RotaryAngles {
+                    first_deg: pick(&self.first, first, previous.first_deg)?,
+                    second_deg: pick(&self.second, second, previous.second_deg)?,
+                })
+            })
+            .collect();
+        found.sort_by(|a, b| {
+            let key = |s: &RotaryAngles| self.turning_cost(previous, *s);
+            let ((ta, sa, fa), (tb, sb, fb)) = (key(a), key(b));
+            ta.total_cmp(&tb).then(sa.total_cmp(&sb)).then(fb.total_cmp(&fa))
+        });
+        found
+    }
+
+    /// Minutes both axes need at rapid rate, their summed turning, and the first angle, rounded so
+    /// that mirror-image postures tie: less is nearer, and of ties the larger first angle wins.
+    fn turning_cost(&self, from: RotaryAngles, to: RotaryAngles) -> (f64, f64, f64) {
+        let round = |v: f64| (v * 1e6).round();
+        let first = (to.first_deg - from.first_deg).abs();
+        let second = (to.second_deg - from.second_deg).abs();
+        let minutes = (first / self.first.rapid_deg_min).max(second / self.second.rapid_deg_min);
+        (round(minutes), round(first + second), round(to.first_deg))
+    }
+
+    /// All postures within the limits that point the tool along `d` (work coordinates), at most
+    /// one a branch, nearest to home first. An axis that `d` leaves free stays at home.
+    pub fn solutions(&self, placement: &Placement, d: Direction) -> Vec<RotaryAngles> {
+        self.nearest_first(placement, d, self.home())
+    }
+
+    /// The posture of `d` that takes the least turning time from `previous`; an axis that `d`
+    /// leaves free stays where it is.
+    pub fn nearest(
+        &self,
+        placement: &Placement,
+        d: Direction,
+        previous: RotaryAngles,
+    ) -> Result<RotaryAngles, Unreachable> {
+        let found = self.nearest_first(placement, d, previous);
+        found.first().copied().ok_or(self.unreachable(d))
+    }
+
+    pub(super) fn unreachable(&self, direction: Direction) -> Unreachable {
+        Unreachable { direction, first: self.first.letter, second: self.second.letter }
+    }
+
+    /// Where the rotary axes park.
+    pub fn home(&self) -> RotaryAngles {
+        RotaryAngles { first_deg: self.first.home_deg, second_deg: self.second.home_deg }
+    }
+}
