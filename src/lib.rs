@@ -21,3 +21,5 @@ pub mod access;
 pub mod search;
 pub mod plan;
 pub mod planner;
+pub mod verify;
+pub mod report;
