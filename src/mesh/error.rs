@@ -80,7 +80,7 @@ pub enum Defect {
     #[error("\"{found}\" is not {expected}; correct that or export the mesh again")]
     Unexpected { expected: &'static str, found: String },
     #[error(
-        "the coordinate {value} is not a finite number within 1e9 mm; correct the vertex, or the \
+        "the coordinate {value:?} is not a finite number within 1e9 mm; correct the vertex, or the \
          unit if the whole part is too large (`--unit`, `--scale`)"
     )]
     Coordinate { value: f64 },

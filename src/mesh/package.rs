@@ -3,8 +3,7 @@
 //!
 //! Method: the model part is inflated as a stream and its XML read event by event; the mesh is
 //! placed afterwards. Guarantees: the file's own unit is honoured; what a hostile archive can make
-//! the program inflate, nest or instance is bounded ([`MAX_INFLATED`], [`DEEPEST`],
-//! [`MAX_PLACED`]); components in other parts (production extension) are followed.
+//! the program inflate, nest or instance is bounded (`MAX_INFLATED`, `DEEPEST`, `MAX_PLACED`); components in other parts (production extension) are followed.
 //! Not read: beam lattices, slices, volumetric data; colours and materials are passed over.
 
 use super::error::{Defect, Fault, Place, shown};
@@ -22,7 +21,7 @@ use zip::ZipArchive;
 const MAX_INFLATED: u64 = 1 << 30;
 /// Ratio that no mesh's XML reaches (5 to 40 is usual, deflate's bound 1032), and the size below
 /// which it does not matter. Smaller values refuse regular lattices, larger ones admit bombs.
-const MAX_RATIO: u64 = 200;
+const MAX_RATIO: u64 = 100;
 const RATIO_FREE: u64 = 64 << 20;
 /// Elements within elements; the format itself nests seven.
 const DEEPEST_ELEMENT: usize = 256;
@@ -54,7 +53,7 @@ fn root_part(archive: &mut Archive, budget: &mut u64) -> Result<String, Fault> {
     const RELATIONSHIPS: &str = "_rels/.rels";
     let mut root = None;
     if find(archive, RELATIONSHIPS).is_some() {
-        parse(archive, RELATIONSHIPS, budget, |element, _| {
+        parse(archive, RELATIONSHIPS, budget, |element| {
             let is_model = attribute(element, "Type")?.is_some_and(|t| t.ends_with("/3dmodel"));
             if element.local_name().as_ref() == "Relationship" && is_model && root.is_none() {
                 root = attribute(element, "Target")?.map(|t| part_name(&t));
@@ -113,13 +112,12 @@ fn is_bomb(packed: u64, inflated: u64) -> bool {
     inflated > RATIO_FREE && inflated / MAX_RATIO > packed
 }
 
-/// Streams the part `name` through `visit`, which is handed each element as it opens and the
-/// depth of elements around it.
+/// Streams the part `name` through `visit`, which is handed each element as it opens.
 fn parse(
     archive: &mut Archive,
     name: &str,
     budget: &mut u64,
-    mut visit: impl FnMut(&BytesStart, usize) -> Result<(), Defect>,
+    mut visit: impl FnMut(&BytesStart) -> Result<(), Defect>,
 ) -> Result<(), Fault> {
     let entry = |byte| Place::Entry { name: shown(name.as_bytes()), byte };
     let missing = || (entry(0), Defect::Archive("the part is missing".to_string()));
@@ -145,15 +143,15 @@ fn parse(
 
 fn events<R: BufRead>(
     reader: &mut Reader<R>,
-    visit: &mut impl FnMut(&BytesStart, usize) -> Result<(), Defect>,
+    visit: &mut impl FnMut(&BytesStart) -> Result<(), Defect>,
 ) -> Result<(), Defect> {
     let mut buffer = Vec::new();
     let mut depth = 0;
     loop {
         buffer.clear();
-        match reader.read_event_into(&mut buffer).map_err(xml)? {
+        match reader.read_event_into(&mut buffer).map_err(unreadable)? {
             Event::Start(element) => {
-                visit(&element, depth)?;
+                visit(&element)?;
                 depth += 1;
                 if depth > DEEPEST_ELEMENT {
                     return Err(Defect::Xml(format!(
@@ -161,7 +159,7 @@ fn events<R: BufRead>(
                     )));
                 }
             }
-            Event::Empty(element) => visit(&element, depth)?,
+            Event::Empty(element) => visit(&element)?,
             Event::End(_) => depth -= 1,
             Event::Eof if depth > 0 => {
                 return Err(Defect::Truncated { expecting: "a closing tag" });
@@ -169,6 +167,14 @@ fn events<R: BufRead>(
             Event::Eof => return Ok(()),
             _ => {}
         }
+    }
+}
+
+/// Faults of the archive below come through the XML reader.
+fn unreadable(e: quick_xml::Error) -> Defect {
+    match e {
+        quick_xml::Error::Io(e) => Defect::Archive(shown(e.to_string().as_bytes())),
+        e => xml(e),
     }
 }
 
@@ -197,7 +203,7 @@ fn parsed<T: std::str::FromStr>(
 fn read_model(archive: &mut Archive, name: &str, budget: &mut u64) -> Result<Model, Fault> {
     let mut model = Model { mm_per_unit: 1.0, ..Model::default() };
     let mut object: Option<String> = None;
-    parse(archive, name, budget, |element, _| {
+    parse(archive, name, budget, |element| {
         let local = element.local_name();
         match local.as_ref() {
             "model" => model.mm_per_unit = unit(attribute(element, "unit")?.as_deref())?,
@@ -316,7 +322,7 @@ mod tests {
     #[test]
     fn only_large_parts_that_inflate_absurdly_are_bombs() {
         assert!(!is_bomb(1 << 10, 1 << 20));
-        assert!(is_bomb(1 << 17, (1 << 27) + 200));
-        assert!(!is_bomb(1 << 20, 1 << 27));
+        assert!(is_bomb(1 << 20, (1 << 27) + 200));
+        assert!(!is_bomb(1 << 21, 1 << 27));
     }
 }

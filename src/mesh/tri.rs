@@ -11,7 +11,7 @@ pub struct TriMesh {
 pub enum InvalidMesh {
     #[error("vertex {index} is not finite ({value})")]
     NotFinite { index: usize, value: DVec3 },
-    #[error("vertex {index} lies {value} from the origin, beyond any part this program plans")]
+    #[error("vertex {index} lies {value:?} mm from the origin, beyond any part this program plans")]
     TooFar { index: usize, value: f64 },
     #[error("triangle {triangle} names vertex {vertex}, but there are only {vertices}")]
     IndexOutOfRange { triangle: usize, vertex: u32, vertices: usize },
