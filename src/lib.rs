@@ -22,4 +22,5 @@ pub mod search;
 pub mod plan;
 pub mod planner;
 pub mod verify;
+pub mod toolpath;
 pub mod report;

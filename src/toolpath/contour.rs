@@ -1,0 +1,179 @@
+//! Contour-parallel paths over a set of lattice cells.
+//!
+//! Method: the distance of every cell to the set's outside (chamfer, in cells) is cut into bands
+//! one cell thick, a stepover apart, the first along the rim; each band is traced into chains of
+//! neighbouring cells. Guarantees: every cell of the set is within a stepover plus one cell of a
+//! chain; chains never leave the set. Not guaranteed: a sense of cutting (climb or conventional).
+
+use super::image::{Cell, Lattice};
+
+/// Cost of a diagonal step in the chamfer distance; 1 for a straight one.
+const DIAGONAL: f32 = std::f32::consts::SQRT_2;
+
+/// Distance to the nearest cell outside the set, in cells: 1 on the rim, 0 outside.
+fn distance(lattice: &Lattice, set: &[bool]) -> Vec<f32> {
+    let [nx, ny] = lattice.n;
+    let mut d: Vec<f32> = set.iter().map(|s| if *s { f32::INFINITY } else { 0.0 }).collect();
+    let get = |d: &[f32], i: i64, j: i64| {
+        let inside = i >= 0 && j >= 0 && i < nx as i64 && j < ny as i64;
+        if inside { d[i as usize + nx * j as usize] } else { 0.0 }
+    };
+    let mut sweep = |k: usize, sign: i64| {
+        if d[k] == 0.0 {
+            return;
+        }
+        let (i, j) = ((k % nx) as i64, (k / nx) as i64);
+        let back =
+            [(sign, 0, 1.0), (0, sign, 1.0), (sign, sign, DIAGONAL), (-sign, sign, DIAGONAL)];
+        let best = back.iter().map(|(di, dj, c)| get(&d, i + di, j + dj) + c);
+        d[k] = best.fold(d[k], f32::min);
+    };
+    (0..nx * ny).for_each(|k| sweep(k, -1));
+    (0..nx * ny).rev().for_each(|k| sweep(k, 1));
+    d
+}
+
+/// Chains of neighbouring cells, a `stepover` (cells) apart, that cover the set.
+pub(super) fn chains(lattice: &Lattice, set: &[bool], stepover: f64) -> Vec<Vec<Cell>> {
+    let stepover = stepover.max(1.0) as f32;
+    let d = distance(lattice, set);
+    // Which band a cell belongs to, counted from 1; 0 for none.
+    let band = |d: f32| {
+        let k = ((d - 1.0) / stepover).floor();
+        if d > 0.0 && d - 1.0 - k * stepover < 1.0 { k as u32 + 1 } else { 0 }
+    };
+    let mut bands: Vec<u32> = d.iter().map(|d| band(*d)).collect();
+    let mut out = Vec::new();
+    for k in 0..bands.len() {
+        if bands[k] != 0 {
+            out.push(trace(lattice, &mut bands, k));
+        }
+    }
+    out
+}
+
+/// Straight neighbours first, so that thick spots do not split a chain.
+const AROUND: [(i64, i64); 8] =
+    [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)];
+
+/// Walks from cell `start` through its band both ways; what was walked, and the band's cells beside
+/// it, are taken out of the band.
+fn trace(lattice: &Lattice, bands: &mut [u32], start: usize) -> Vec<Cell> {
+    let band = bands[start];
+    let first = lattice.cell_of_index(start);
+    bands[start] = 0;
+    let mut chain = walk(lattice, bands, first, band);
+    let tail = walk(lattice, bands, first, band);
+    if !tail.is_empty() {
+        chain.reverse();
+        chain.push(first);
+        chain.extend(tail);
+    } else {
+        chain.insert(0, first);
+    }
+    // A ring closes where it began.
+    let (a, b) = (chain[0], chain[chain.len() - 1]);
+    if chain.len() > 3 && a[0].abs_diff(b[0]) <= 1 && a[1].abs_diff(b[1]) <= 1 {
+        chain.push(a);
+    }
+    for c in &chain {
+        for (di, dj) in AROUND {
+            if let Some(k) = neighbour(lattice, *c, di, dj).filter(|k| bands[*k] == band) {
+                bands[k] = 0;
+            }
+        }
+    }
+    chain
+}
+
+fn neighbour(lattice: &Lattice, c: Cell, di: i64, dj: i64) -> Option<usize> {
+    let i = c[0].checked_add_signed(di as isize).filter(|i| *i < lattice.n[0])?;
+    let j = c[1].checked_add_signed(dj as isize).filter(|j| *j < lattice.n[1])?;
+    Some(lattice.index([i, j]))
+}
+
+fn walk(lattice: &Lattice, bands: &mut [u32], from: Cell, band: u32) -> Vec<Cell> {
+    let mut chain = Vec::new();
+    let (mut at, mut heading) = (from, (0, 0));
+    loop {
+        let ahead = std::iter::once(heading).chain(AROUND).filter(|h| *h != (0, 0));
+        let next = ahead
+            .filter_map(|h| neighbour(lattice, at, h.0, h.1).map(|k| (h, k)))
+            .find(|(_, k)| bands[*k] == band);
+        let Some((h, k)) = next else { return chain };
+        bands[k] = 0;
+        (at, heading) = (lattice.cell_of_index(k), h);
+        chain.push(at);
+    }
+}
+
+/// Orders chains by the nearest next end, starting from `at`; turns those entered at their tail.
+pub(super) fn nearest_order(mut chains: Vec<Vec<Cell>>, mut at: Option<Cell>) -> Vec<Vec<Cell>> {
+    // Beyond this the quadratic search costs more than the travel it saves; scan order is kept.
+    const MOST: usize = 3000;
+    if chains.len() > MOST {
+        return chains;
+    }
+    let gap = |a: Cell, b: Cell| a[0].abs_diff(b[0]).pow(2) + a[1].abs_diff(b[1]).pow(2);
+    let mut out = Vec::with_capacity(chains.len());
+    while !chains.is_empty() {
+        let here = at.unwrap_or(chains[0][0]);
+        let ends = |c: &Vec<Cell>| (gap(here, c[0]), gap(here, c[c.len() - 1]));
+        let cost = |c: &Vec<Cell>| ends(c).0.min(ends(c).1);
+        let best = (0..chains.len()).min_by_key(|i| (cost(&chains[*i]), *i)).unwrap_or(0);
+        let mut chain = chains.remove(best);
+        let (head, tail) = ends(&chain);
+        if tail < head {
+            chain.reverse();
+        }
+        at = chain.last().copied();
+        out.push(chain);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::{DVec2, DVec3, Direction};
+    use crate::voxel::Frame;
+    use proptest::prelude::*;
+
+    fn lattice(n: [usize; 2]) -> Lattice {
+        let frame = Frame { pitch: 1.0, dims: [1; 3], origin: DVec3::ZERO };
+        let mut l =
+            Lattice::over(&frame, Direction::Z.image_plane(), 1.0, DVec2::ZERO, DVec2::ZERO);
+        l.n = n;
+        l
+    }
+
+    proptest! {
+        #[test]
+        fn chains_stay_in_the_set_and_cover_it(
+            boxes in proptest::collection::vec((0usize..30, 0usize..30, 1usize..18, 1usize..18), 1..5),
+            stepover in 1f64..5.0,
+        ) {
+            let l = lattice([40, 40]);
+            let set: Vec<bool> = (0..l.cells()).map(|k| {
+                let [i, j] = l.cell_of_index(k);
+                boxes.iter().any(|(a, b, w, h)| (*a..a + w).contains(&i) && (*b..b + h).contains(&j))
+            }).collect();
+            let chains = nearest_order(chains(&l, &set, stepover), None);
+            for c in chains.iter().flatten() {
+                prop_assert!(set[l.index(*c)]);
+            }
+            for w in chains.iter().flat_map(|c| c.windows(2)) {
+                prop_assert!(w[0][0].abs_diff(w[1][0]) <= 1 && w[0][1].abs_diff(w[1][1]) <= 1);
+            }
+            for k in (0..l.cells()).filter(|k| set[*k]) {
+                let c = l.cell_of_index(k);
+                let near = chains.iter().flatten().any(|p| {
+                    let (a, b) = (p[0].abs_diff(c[0]) as f64, p[1].abs_diff(c[1]) as f64);
+                    // Chamfer bands are at most √2 cells apart where 1 is meant.
+                    a.hypot(b) <= (stepover + 1.0) * 1.5
+                });
+                prop_assert!(near, "{c:?} is uncovered");
+            }
+        }
+    }
+}

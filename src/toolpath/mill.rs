@@ -1,0 +1,434 @@
+//! Roughing, finishing and rest cutting of one subtractive step.
+//!
+//! Method: over the tip lattice of the plan's rules, H(u, v) is the lowest height at which the whole
+//! tool is free of the output state and the fixed points, `top` the height at which its edge first meets
+//! the region, `floor` the lowest height worth going to. Roughing takes levels a step-down apart, contour
+//! parallel, at z = max(level, H + stock, floor); finishing follows max(H, floor) a scallop stepover
+//! apart; rest cutting goes once more where region is still uncovered, with H without margin.
+//!
+//! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells);
+//! no pass is deeper than a step-down under what was cut beside it; rapids only at the safe height
+//! or straight up. Not guaranteed: ramped entries, a constant engagement, climb cutting; surfaces are
+//! the voxels', not yet the meshes'.
+
+use super::contour::{chains, nearest_order};
+use super::image::{Cell, Image, Lattice, Profile};
+use super::moves::{Figures, Move, MoveKind};
+use super::process::Milling;
+use crate::base::{DVec2, DVec3};
+use crate::machine::Tool;
+use crate::plan::Step;
+use crate::voxel::{BitGrid, Frame};
+
+/// Heights closer than this are the same, mm: far above the rounding of f32 heights, far below
+/// what a machine resolves.
+const SAME_HEIGHT_MM: f64 = 1e-3;
+
+/// What a step works on.
+pub(super) struct Work<'a> {
+    pub frame: &'a Frame,
+    pub step: &'a Step,
+    pub tool: &'a Tool,
+    pub before: &'a BitGrid,
+    pub after: &'a BitGrid,
+    /// Pedestal and table.
+    pub fixed: &'a [DVec3],
+}
+
+pub(super) struct Milled {
+    pub moves: Vec<Move>,
+    pub safe_height: f64,
+    pub figures: Figures,
+}
+
+pub(super) fn mill(work: &Work, process: &Milling) -> Milled {
+    let mut stage = Stage::new(work, *process);
+    stage.rough();
+    stage.finish();
+    let covered = stage.rest();
+    let safe_height = stage.safe;
+    let moves = stage.moves;
+    let figures = Figures { coverage: covered, ..Figures::default() };
+    Milled { moves, safe_height, figures }
+}
+
+/// Pitch of the tip lattice: the plan's rule.
+pub(super) fn tip_pitch(frame: &Frame, step: &Step) -> f64 {
+    if step.direction.is_grid_axis() { frame.pitch } else { frame.pitch / 2.0 }
+}
+
+/// (u, v) box of the region's voxel centres.
+fn region_box(work: &Work) -> (DVec2, DVec2) {
+    let plane = work.step.direction.image_plane();
+    let empty = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    work.step.region.iter_ones().fold(empty, |(lo, hi), v| {
+        let p = plane.across(work.frame.center(v));
+        (lo.min(p), hi.max(p))
+    })
+}
+
+/// Lowest free tip heights over a window of tips, for several margins, and the height over which
+/// nothing of the state before the step stands.
+pub(super) struct Free {
+    pub window: Lattice,
+    obstacles: Image,
+    highest: f64,
+    pub state_top: f64,
+}
+
+impl Free {
+    /// Tips within `reach` mm of the region's box; obstacles of `state` and the fixed points.
+    pub fn around(work: &Work, state: &BitGrid, reach: f64) -> Free {
+        let plane = work.step.direction.image_plane();
+        let s = tip_pitch(work.frame, work.step);
+        let (lo, hi) = region_box(work);
+        // A margin and a cell's half-diagonal may widen a tool by this much.
+        let tool = DVec2::splat(work.tool.max_radius() + 2.0 * work.frame.pitch + 1.0);
+        let tips = DVec2::splat(reach + 2.0 * s);
+        let all = Lattice::over(work.frame, plane, s, lo - tips - tool, hi + tips + tool);
+        let mut obstacles = Image::empty(all);
+        let mut highest = f64::NEG_INFINITY;
+        let shell = state.boundary();
+        let points = shell.iter_ones().map(|v| work.frame.center(v));
+        for p in points.chain(work.fixed.iter().copied()) {
+            obstacles.raise(p);
+            highest = highest.max(plane.height(p));
+        }
+        let heights = work.before.boundary();
+        let tops = heights.iter_ones().map(|v| plane.height(work.frame.center(v)));
+        let state_top = tops.fold(f64::NEG_INFINITY, f64::max) + work.frame.pitch;
+        Free { window: all.window(lo - tips, hi + tips), obstacles, highest, state_top }
+    }
+
+    /// H with the tool grown by `side` and `down`, mm.
+    pub fn heights(&self, tool: &Tool, side: f64, down: f64) -> Image {
+        let s = self.window.s;
+        let profile = Profile::new(|rho| tool.lower_surface(rho), tool.max_radius(), s, side, down);
+        profile.dilate(&self.obstacles, self.window, self.highest)
+    }
+}
+
+struct Stage<'a> {
+    work: &'a Work<'a>,
+    process: Milling,
+    lattice: Lattice,
+    free: Free,
+    /// Tip height at which the edge first meets the region.
+    top: Image,
+    /// Lowest tip height worth going to.
+    floor: Image,
+    /// H for finishing: half a voxel off the voxel centres.
+    fine: Image,
+    /// H without margin.
+    exact: Image,
+    edge: Profile,
+    /// Lowest tip height cut so far, per cell; +∞ where nothing was.
+    done: Vec<f32>,
+    safe: f64,
+    at: Option<(Cell, f64)>,
+    moves: Vec<Move>,
+}
+
+impl<'a> Stage<'a> {
+    fn new(work: &'a Work<'a>, process: Milling) -> Self {
+        let h = work.frame.pitch;
+        let radius = work.tool.active_radius();
+        let free = Free::around(work, work.after, radius);
+        let lattice = free.window;
+        let edge =
+            Profile::new(|rho| work.tool.active_lower_surface(rho), radius, lattice.s, 0.0, 0.0);
+        let (mut tops, mut bottoms) = (Image::empty(lattice), Image::empty(lattice));
+        let plane = lattice.plane;
+        for v in work.step.region.iter_ones() {
+            let p = work.frame.center(v);
+            tops.raise(p);
+            if let Some(c) = lattice.cell(plane.across(p)) {
+                let i = lattice.index(c);
+                bottoms.data[i] = bottoms.data[i].max(-(plane.height(p) - h / 2.0) as f32);
+            }
+        }
+        let disc = Profile::new(
+            |rho| if rho <= radius { 0.0 } else { f64::INFINITY },
+            radius,
+            lattice.s,
+            0.0,
+            0.0,
+        );
+        let half = h / 2.0 + rounding(work, lattice.s);
+        let fine = free.heights(work.tool, half, h / 2.0);
+        let exact = free.heights(work.tool, 0.0, 0.0);
+        let highest = |i: &Image| i.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let safe = free.state_top.max(f64::from(highest(&fine))) + process.clearance;
+        Stage {
+            top: edge.dilate(&tops, lattice, f64::NEG_INFINITY),
+            floor: disc.dilate(&bottoms, lattice, f64::NEG_INFINITY).negated(),
+            fine,
+            exact,
+            edge,
+            done: vec![f32::INFINITY; lattice.cells()],
+            work,
+            process,
+            lattice,
+            free,
+            safe,
+            at: None,
+            moves: Vec::new(),
+        }
+    }
+
+    fn rough(&mut self) {
+        let stock = self.process.stock;
+        let h = self.work.frame.pitch;
+        let half = h / 2.0 + rounding(self.work, self.lattice.s);
+        let coarse = self.free.heights(self.work.tool, half + stock, h / 2.0 + stock);
+        let bottom = self.bottoms(&coarse);
+        let near = vec![f32::INFINITY; bottom.len()];
+        let ceiling = self.top.data.clone();
+        self.levels(&bottom, &ceiling, &near);
+    }
+
+    /// max(H, floor) per cell; +∞ where the edge meets no region at any height.
+    fn bottoms(&self, free: &Image) -> Vec<f32> {
+        let pick = |((h, f), t): ((&f32, &f32), &f32)| {
+            if t.is_finite() && f.is_finite() { h.max(*f) } else { f32::INFINITY }
+        };
+        free.data.iter().zip(&self.floor.data).zip(&self.top.data).map(pick).collect()
+    }
+
+    /// Cuts down to `bottom` in levels, where that is below `ceiling` and below what was cut `near`.
+    fn levels(&mut self, bottom: &[f32], ceiling: &[f32], near: &[f32]) {
+        let same = SAME_HEIGHT_MM as f32;
+        let due: Vec<usize> =
+            (0..bottom.len()).filter(|i| bottom[*i] < ceiling[*i].min(near[*i]) - same).collect();
+        let start = due.iter().map(|i| ceiling[*i].min(near[*i]).min(self.safe as f32));
+        let start = start.fold(f32::NEG_INFINITY, f32::max);
+        let lowest = due.iter().map(|i| bottom[*i]).fold(f32::INFINITY, f32::min);
+        let (step, mut k) = (self.process.step_down as f32, 1.0);
+        let mut last = start;
+        while last > lowest + same {
+            let level = start - k * step;
+            let z = |i: usize| bottom[i].max(level);
+            let mut set = vec![false; bottom.len()];
+            for &i in &due {
+                set[i] = z(i) < ceiling[i].min(near[i]).min(last) - same;
+            }
+            let enter = |i: usize| ceiling[i].min(near[i]).min(last);
+            let stepover = self.process.stepover / self.lattice.s;
+            self.passes(&set, stepover, &z, &enter, self.process.feed);
+            for &i in due.iter().filter(|i| set[**i]) {
+                self.done[i] = self.done[i].min(z(i));
+            }
+            last = level;
+            k += 1.0;
+        }
+    }
+
+    fn finish(&mut self) {
+        let bottom = self.bottoms(&self.fine);
+        let near = self.near();
+        let same = SAME_HEIGHT_MM as f32;
+        let due: Vec<bool> = (0..bottom.len())
+            .map(|i| bottom[i] < self.top.data[i].min(self.done[i]) - same)
+            .collect();
+        // Where roughing could not enter, finishing must not plunge either.
+        let deep: Vec<f32> = (0..bottom.len())
+            .map(|i| {
+                let open = self.top.data[i].min(near[i]) - bottom[i];
+                let rough = due[i] && open > self.process.step_down as f32;
+                if rough { bottom[i] } else { f32::INFINITY }
+            })
+            .collect();
+        let ceiling = self.top.data.clone();
+        self.levels(&deep, &ceiling, &near);
+        let near = self.near();
+        let stepover = self.process.finishing_stepover(self.work.tool) / self.lattice.s;
+        let z = |i: usize| bottom[i];
+        let enter = |i: usize| ceiling[i].min(near[i].max(bottom[i]));
+        self.passes(&due, stepover, &z, &enter, self.process.feed);
+        for i in (0..bottom.len()).filter(|i| due[*i]) {
+            self.done[i] = self.done[i].min(bottom[i]);
+        }
+    }
+
+    /// Lowest height cut within a stock's width and two cells of each cell.
+    fn near(&self) -> Vec<f32> {
+        let s = self.lattice.s;
+        let reach = ((self.process.stock / s).ceil() + 2.0) * s;
+        let box_of = |rho: f64| if rho <= reach { 0.0 } else { f64::INFINITY };
+        let done = Image { lattice: self.lattice, data: self.done.clone() };
+        let disc = Profile::new(box_of, reach, s, 0.0, 0.0);
+        let low = disc.dilate(&done.negated(), self.lattice, f64::NEG_INFINITY);
+        low.data.iter().map(|z| if z.is_finite() { -z } else { f32::INFINITY }).collect()
+    }
+
+    /// Cuts what region is left uncovered from the tips that reach it without margin; returns the
+    /// fraction of the region that is covered in the end.
+    fn rest(&mut self) -> f64 {
+        let (uncovered, share) = self.uncovered();
+        if uncovered.is_empty() {
+            return share;
+        }
+        let h = self.work.frame.pitch as f32;
+        let mut offsets = self.edge.offsets();
+        offsets.sort_by_key(|(i, j, _)| (i * i + j * j, *j, *i));
+        let mut need = vec![f32::INFINITY; self.lattice.cells()];
+        for (cell, height) in uncovered {
+            let reached = offsets.iter().find_map(|(di, dj, k)| {
+                let i = cell[0].checked_add_signed(*di as isize)?;
+                let j = cell[1].checked_add_signed(*dj as isize)?;
+                let inside = i < self.lattice.n[0] && j < self.lattice.n[1];
+                let at = self.lattice.index([i, j]);
+                (inside && self.exact.data[at] <= height - k).then_some((at, height - k))
+            });
+            if let Some((at, z)) = reached {
+                let z = self.exact.data[at].max(z - 0.25 * h);
+                need[at] = need[at].min(z);
+            }
+        }
+        let near = self.near();
+        let ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
+        self.levels(&need, &ceiling, &near);
+        self.uncovered().1
+    }
+
+    /// Region voxels farther than half a pitch under what the edge swept (cell and height), and
+    /// the fraction of the others.
+    fn uncovered(&self) -> (Vec<(Cell, f32)>, f64) {
+        let l = self.lattice;
+        let mut swept = Image::empty(l);
+        let cut = |w: &&[Move]| w[1].kind == MoveKind::Cut;
+        for w in self.moves.windows(2).filter(cut) {
+            let n = (w[0].tip.distance(w[1].tip) / (l.s / 2.0)).ceil().max(1.0);
+            for i in 0..=n as usize {
+                let p = w[0].tip.lerp(w[1].tip, i as f64 / n);
+                if let Some(c) = l.cell(l.plane.across(p)) {
+                    let i = l.index(c);
+                    swept.data[i] = swept.data[i].max(-(l.plane.height(p) as f32));
+                }
+            }
+        }
+        let reached = self.edge.dilate(&swept, l, f64::NEG_INFINITY);
+        let half = (self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM) as f32;
+        let (mut left, mut all) = (Vec::new(), 0usize);
+        for v in self.work.step.region.iter_ones() {
+            let p = self.work.frame.center(v);
+            all += 1;
+            let height = l.plane.height(p) as f32;
+            if let Some(c) = l.cell(l.plane.across(p)) {
+                if -reached.data[l.index(c)] > height + half {
+                    left.push((c, height));
+                }
+            }
+        }
+        let share = 1.0 - left.len() as f64 / all.max(1) as f64;
+        (left, share)
+    }
+
+    /// Contour-parallel passes over a set of cells.
+    fn passes(
+        &mut self,
+        set: &[bool],
+        stepover: f64,
+        z: &dyn Fn(usize) -> f32,
+        enter: &dyn Fn(usize) -> f32,
+        feed: f64,
+    ) {
+        if !set.contains(&true) {
+            return;
+        }
+        let at = self.at.map(|(c, _)| c);
+        for chain in nearest_order(chains(&self.lattice, set, stepover), at) {
+            let first = chain[0];
+            if !self.link(first, stepover, z, feed) {
+                let i = self.lattice.index(first);
+                self.enter(first, f64::from(enter(i)), f64::from(z(i)));
+            }
+            for c in &chain[1..] {
+                let i = self.lattice.index(*c);
+                self.cut_to(*c, f64::from(z(i)), feed);
+            }
+        }
+        self.retract();
+    }
+
+    /// Goes to the first cell of the next chain at cutting height when it is near and the way is
+    /// free; false when a retract is needed.
+    fn link(&mut self, to: Cell, stepover: f64, z: &dyn Fn(usize) -> f32, feed: f64) -> bool {
+        /// Chains farther apart than this many stepovers are linked over the safe height.
+        const FAR: f64 = 4.0;
+        let Some((from, z0)) = self.at else { return false };
+        let d = [to[0] as f64 - from[0] as f64, to[1] as f64 - from[1] as f64];
+        let gap = d[0].hypot(d[1]);
+        if gap > FAR * stepover.max(1.0) {
+            return false;
+        }
+        let n = (2.0 * gap).ceil().max(1.0);
+        let mut over = z0;
+        for i in 0..=n as usize {
+            let t = i as f64 / n;
+            let c = [
+                (from[0] as f64 + t * d[0]).round() as usize,
+                (from[1] as f64 + t * d[1]).round() as usize,
+            ];
+            over = over.max(f64::from(z(self.lattice.index(c))));
+        }
+        // Infinite where no region is under the edge: the way is not known to be clear.
+        if over > z0.max(f64::from(z(self.lattice.index(to)))) + self.process.step_down {
+            return false;
+        }
+        self.push(MoveKind::Cut, from, over, feed);
+        self.push(MoveKind::Cut, to, over, feed);
+        let end = f64::from(z(self.lattice.index(to)));
+        let down = if over - end > SAME_HEIGHT_MM { self.process.plunge_feed } else { feed };
+        self.push(MoveKind::Cut, to, end, down);
+        true
+    }
+
+    /// Over the safe height to a cell, and down to `z`; material begins below `from`.
+    fn enter(&mut self, cell: Cell, from: f64, z: f64) {
+        self.retract();
+        self.push(MoveKind::Rapid, cell, self.safe, 0.0);
+        let near = (from + self.process.clearance).max(z);
+        if near < self.safe {
+            self.push(MoveKind::Approach, cell, near, self.process.approach_feed);
+        }
+        self.push(MoveKind::Cut, cell, z, self.process.plunge_feed);
+    }
+
+    fn retract(&mut self) {
+        if let Some((c, z)) = self.at
+            && z < self.safe
+        {
+            self.push(MoveKind::Rapid, c, self.safe, 0.0);
+        }
+        self.at = None;
+    }
+
+    /// Cuts to a neighbouring cell. On steep ground the tip first rises, then crosses, then falls:
+    /// a slanted move would pass through the step that the lattice resolves only at its cells.
+    fn cut_to(&mut self, cell: Cell, z: f64, feed: f64) {
+        let Some((from, z0)) = self.at else { return };
+        if (z - z0).abs() > 2.0 * self.lattice.s {
+            let over = z.max(z0);
+            self.push(MoveKind::Cut, from, over, feed);
+            self.push(MoveKind::Cut, cell, over, feed);
+            let down = if z < over { self.process.plunge_feed } else { feed };
+            self.push(MoveKind::Cut, cell, z, down);
+        } else {
+            self.push(MoveKind::Cut, cell, z, feed);
+        }
+    }
+
+    fn push(&mut self, kind: MoveKind, cell: Cell, z: f64, feed: f64) {
+        if self.at == Some((cell, z)) {
+            return;
+        }
+        self.moves.push(Move { kind, tip: self.lattice.world(cell, z), feed });
+        self.at = Some((cell, z));
+    }
+}
+
+/// How far a point may lie from the centre of its cell, mm: nothing along the grid axes.
+fn rounding(work: &Work, s: f64) -> f64 {
+    if work.step.direction.is_grid_axis() { 0.0 } else { s * std::f64::consts::FRAC_1_SQRT_2 }
+}

@@ -1,0 +1,185 @@
+//! From plan to paths: what the tip of each step's tool does, in plan coordinates.
+//!
+//! Method: additive steps are sliced across their direction into layers of contour-parallel
+//! perimeters and infill; subtractive steps are roughed in levels, finished and rest-cut over the lattice of lowest
+//! free tip heights (see `print` and `mill`). Every step stays in its own frame (u, v, d).
+//!
+//! Guarantees: a path never goes below the tip heights free of the output state and the fixed
+//! obstacles; beads lie inside the step's region; rapids run only at the safe height or straight up;
+//! the same plan gives the same paths at any thread count. Not guaranteed: machine limits, which
+//! the post checks; surfaces finer than the voxels; times, which ignore acceleration.
+
+mod contour;
+mod image;
+mod mill;
+mod moves;
+mod print;
+mod process;
+mod slice;
+
+pub use moves::{Figures, Move, MoveKind, Toolpath};
+pub use print::INSET_SLACK;
+pub use process::{Milling, Printing};
+
+use crate::base::{Cancelled, Ctx, DVec3};
+use crate::machine::{BaseKind, Tool};
+use crate::plan::{Job, Plan, StepKind};
+use crate::voxel::BitGrid;
+use mill::Work;
+use moves::{merge_collinear, time_s};
+use rayon::prelude::*;
+
+/// Why a step has no paths.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum ToolpathError {
+    #[error("step {step} uses tool '{tool}', which the job does not have; add it or plan anew")]
+    NoTool { step: usize, tool: String },
+    #[error("step {step} names holding {holding}, but the plan has {holdings}")]
+    NoHolding { step: usize, holding: usize, holdings: usize },
+    #[error("step {step}'s region is on a grid of {found:?} voxels, the job's is {expected:?}")]
+    WrongGrid { step: usize, found: [usize; 3], expected: [usize; 3] },
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// Rapid rate for time estimates, mm/min, where the machine states none.
+const RAPID_MM_MIN: f64 = 6000.0;
+
+/// A plan's states and obstacles as its steps see them.
+pub struct Replay {
+    /// P₀ … P_n.
+    pub states: Vec<BitGrid>,
+    /// Pedestal and table points of each step.
+    pub fixed: Vec<Vec<DVec3>>,
+    /// The middle of the base contact of each step's holding, plan coordinates, mm.
+    pub contact_center: Vec<DVec3>,
+}
+
+impl Replay {
+    /// Applies the steps in order.
+    pub fn of(job: &Job, plan: &Plan) -> Result<Replay, ToolpathError> {
+        let mut states = vec![job.initial.clone()];
+        let (mut fixed, mut contact_center) = (Vec::new(), Vec::new());
+        let mut held: Option<(usize, Vec<DVec3>, DVec3)> = None;
+        for (i, step) in plan.steps.iter().enumerate() {
+            let holdings = plan.holdings.len();
+            let holding = plan.holdings.get(step.holding).ok_or(ToolpathError::NoHolding {
+                step: i,
+                holding: step.holding,
+                holdings,
+            })?;
+            let (found, expected) = (step.region.dims(), job.frame.dims);
+            if found != expected {
+                return Err(ToolpathError::WrongGrid { step: i, found, expected });
+            }
+            let state = &states[i];
+            if held.as_ref().is_none_or(|h| h.0 != step.holding) {
+                let contact = if step.holding == 0 {
+                    job.base_contact()
+                } else {
+                    holding.contact(state, &job.frame, job.rules.grip_mm)
+                };
+                let points = match job.rules.base {
+                    BaseKind::Pedestal => {
+                        job.machine.workholding.obstacle_points(holding, &contact, &job.frame)
+                    }
+                    BaseKind::None => Vec::new(),
+                };
+                held = Some((step.holding, points, middle(job, &contact)));
+            }
+            if let Some((_, points, center)) = &held {
+                fixed.push(points.clone());
+                contact_center.push(*center);
+            }
+            let mut next = state.clone();
+            match step.kind {
+                StepKind::Subtractive => next.subtract(&step.region),
+                StepKind::Additive => next.union_with(&step.region),
+            }
+            states.push(next);
+        }
+        Ok(Replay { states, fixed, contact_center })
+    }
+}
+
+/// Mean of the contact's voxel centres; the middle of the grid when nothing is in contact.
+fn middle(job: &Job, contact: &BitGrid) -> DVec3 {
+    let (mut sum, mut n) = (DVec3::ZERO, 0usize);
+    for v in contact.iter_ones() {
+        sum += job.frame.center(v);
+        n += 1;
+    }
+    if n == 0 { job.frame.bounds().center() } else { sum / n as f64 }
+}
+
+/// Paths of every step of a plan that nobody has verified: they are only as sound as it is.
+pub fn for_unverified(job: &Job, plan: &Plan, ctx: &Ctx) -> Result<Vec<Toolpath>, ToolpathError> {
+    let replay = Replay::of(job, plan)?;
+    plan_paths(job, plan, &replay, ctx)
+}
+
+pub(crate) fn plan_paths(
+    job: &Job,
+    plan: &Plan,
+    replay: &Replay,
+    ctx: &Ctx,
+) -> Result<Vec<Toolpath>, ToolpathError> {
+    ctx.begin("toolpaths", plan.steps.len() as u64);
+    let paths = (0..plan.steps.len())
+        .into_par_iter()
+        .map(|i| {
+            ctx.check()?;
+            let path = step_path(job, plan, replay, i)?;
+            ctx.advance(1);
+            Ok(path)
+        })
+        .collect();
+    ctx.end();
+    paths
+}
+
+fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpath, ToolpathError> {
+    let step = &plan.steps[i];
+    let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
+    let tool: &Tool = job.tool(&step.tool).ok_or_else(no_tool)?;
+    let work = Work {
+        frame: &job.frame,
+        step,
+        tool,
+        before: &replay.states[i],
+        after: &replay.states[i + 1],
+        fixed: &replay.fixed[i],
+    };
+    let (moves, safe_height, mut figures, bead_mm2) = match step.kind {
+        StepKind::Subtractive => {
+            let m = mill::mill(&work, &Milling::for_tool(tool));
+            (m.moves, m.safe_height, m.figures, 0.0)
+        }
+        StepKind::Additive => {
+            let process = Printing::for_tool(tool);
+            let p = print::print(&work, &process);
+            (p.moves, p.safe_height, p.figures, process.bead_mm2())
+        }
+    };
+    let moves = merge_collinear(moves);
+    figures.region_mm3 = step.region.count() as f64 * job.frame.voxel_volume();
+    figures.time_s = time_s(&moves, RAPID_MM_MIN);
+    let mut path = Toolpath {
+        step: i,
+        kind: step.kind,
+        tool: step.tool.clone(),
+        direction: step.direction,
+        holding: step.holding,
+        safe_height,
+        bead_mm2,
+        moves,
+        figures,
+    };
+    let working = match step.kind {
+        StepKind::Subtractive => MoveKind::Cut,
+        StepKind::Additive => MoveKind::Deposit,
+    };
+    path.figures.working_mm = path.length(working);
+    path.figures.material_mm3 = path.length(MoveKind::Deposit) * bead_mm2;
+    Ok(path)
+}

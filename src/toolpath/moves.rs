@@ -1,0 +1,140 @@
+use crate::base::{DVec3, Direction};
+use crate::plan::StepKind;
+
+/// What a move does to the workpiece.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MoveKind {
+    /// As fast as the axes go: at the safe height, or straight away from the work along the axis.
+    Rapid,
+    /// Straight down the axis through cleared space, at feed.
+    Approach,
+    /// The edge cuts.
+    Cut,
+    /// The bead is laid.
+    Deposit,
+    /// At feed without depositing; the filament is drawn back.
+    Travel,
+}
+
+/// One straight move of the tool's tip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Move {
+    pub kind: MoveKind,
+    /// Where the tip ends, plan coordinates, mm.
+    pub tip: DVec3,
+    /// mm/min; 0 for rapids.
+    pub feed: f64,
+}
+
+/// What a step's paths do, in figures.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Figures {
+    /// Volume of the plan's region, mm³.
+    pub region_mm3: f64,
+    /// Length cut or deposited, mm.
+    pub working_mm: f64,
+    /// Bead volume laid: length × bead section, mm³; 0 for subtractive steps.
+    pub material_mm3: f64,
+    /// Fraction of the region's voxels within half a pitch of the swept edge; 0 for additive steps.
+    pub coverage: f64,
+    /// Part of the region too thin for a bead, which gets none, mm³; 0 for subtractive steps.
+    pub thin_mm3: f64,
+    /// Lengths over feeds, s. Acceleration is ignored, so the machine takes longer.
+    pub time_s: f64,
+}
+
+/// The paths of one step. The first move starts at the safe height; so does the last one end.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Toolpath {
+    /// Index of the plan's step.
+    pub step: usize,
+    pub kind: StepKind,
+    pub tool: String,
+    /// From the workpiece toward the spindle.
+    pub direction: Direction,
+    pub holding: usize,
+    /// Height along the direction at or above which the tip may go anywhere, mm.
+    pub safe_height: f64,
+    /// Section of the bead, mm²; 0 for subtractive steps.
+    pub bead_mm2: f64,
+    pub moves: Vec<Move>,
+    pub figures: Figures,
+}
+
+impl Toolpath {
+    /// Length of all moves of a kind, mm.
+    pub fn length(&self, kind: MoveKind) -> f64 {
+        self.moves
+            .windows(2)
+            .filter(|w| w[1].kind == kind)
+            .map(|w| w[0].tip.distance(w[1].tip))
+            .sum()
+    }
+}
+
+/// Seconds the moves take when every axis moves at its feed at once; rapids at `rapid` mm/min.
+pub(super) fn time_s(moves: &[Move], rapid: f64) -> f64 {
+    let minutes = |w: &[Move]| {
+        let feed = if w[1].feed > 0.0 { w[1].feed } else { rapid };
+        w[0].tip.distance(w[1].tip) / feed
+    };
+    moves.windows(2).map(minutes).sum::<f64>() * 60.0
+}
+
+/// How far a dropped point may lie from the straight move that replaces it, mm: a tenth of the
+/// finest lattice in use. Larger cuts corners, smaller keeps needless lines.
+const COLLINEAR_MM: f64 = 0.005;
+
+/// Joins runs of moves of one kind and feed that lie on one straight line in one sense.
+pub(super) fn merge_collinear(moves: Vec<Move>) -> Vec<Move> {
+    let mut out: Vec<Move> = Vec::with_capacity(moves.len());
+    // Points dropped since the last kept one: all must stay near the merged line.
+    let mut dropped: Vec<DVec3> = Vec::new();
+    for m in moves {
+        if out.last().is_some_and(|l| l.tip == m.tip) {
+            continue;
+        }
+        if let [.., a, b] = out.as_slice() {
+            let same = b.kind == m.kind && b.feed == m.feed && dropped.len() < 256;
+            let near = |p: &DVec3| on_segment(a.tip, m.tip, *p);
+            if same && near(&b.tip) && dropped.iter().all(near) {
+                dropped.push(b.tip);
+                let last = out.len() - 1;
+                out[last] = m;
+                continue;
+            }
+        }
+        dropped.clear();
+        out.push(m);
+    }
+    out
+}
+
+fn on_segment(a: DVec3, b: DVec3, p: DVec3) -> bool {
+    let (ab, ap) = (b - a, p - a);
+    let len2 = ab.length_squared();
+    let t = ap.dot(ab);
+    t > 0.0 && t < len2 && (ap - ab * (t / len2)).length() <= COLLINEAR_MM
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn straight_runs_merge_and_turns_stay() {
+        let m =
+            |x: f64, y: f64| Move { kind: MoveKind::Cut, tip: DVec3::new(x, y, 0.0), feed: 100.0 };
+        let merged = merge_collinear(vec![m(0., 0.), m(1., 0.), m(2., 0.), m(2., 0.), m(1., 0.)]);
+        assert_eq!(merged, [m(0., 0.), m(2., 0.), m(1., 0.)]);
+        assert_eq!(time_s(&merged, 1.0), 3.0 / 100.0 * 60.0);
+        // A shallow arc must not be swallowed point by point.
+        let arc: Vec<Move> = (0..200)
+            .map(|i| m((i as f64 * 0.01).cos() * 50., (i as f64 * 0.01).sin() * 50.))
+            .collect();
+        for w in merge_collinear(arc.clone()).windows(2) {
+            let middle = (w[0].tip + w[1].tip) / 2.0;
+            assert!(50.0 - middle.length() < 2.0 * COLLINEAR_MM);
+        }
+    }
+}
