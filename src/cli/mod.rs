@@ -4,6 +4,7 @@
 mod args;
 mod config;
 mod exit;
+mod inputs;
 mod output;
 mod pipeline;
 mod plan;

@@ -1,28 +1,15 @@
 //! The stages between the job and the files, as the command line calls them: setup, planner,
-//! verifier, posting. Each turns the library's answer into what is reported.
+//! posting, program check. Each turns the library's answer into what is reported.
 
 use super::config::PlanConfig;
 use super::exit::Failure;
 use super::plan::Clock;
 use hmplan::base::{Ctx, DAffine3};
-use hmplan::machine::Machine;
 use hmplan::mesh::TriMesh;
 use hmplan::plan::{Job, Plan};
-use hmplan::report::{Judgement, PlannerFigures, RuleLine};
-
-/// A plan with the verifier's judgement.
-pub struct Judged {
-    plan: Plan,
-    pub judgement: Judgement,
-    /// Where most of the residual lies, in words.
-    pub location: Option<String>,
-}
-
-impl Judged {
-    pub fn plan(&self) -> &Plan {
-        &self.plan
-    }
-}
+use hmplan::planner::{PlanError, reman};
+use hmplan::report::{PlannerFigures, RuleLine};
+use hmplan::verify::Verdict;
 
 /// A program and the time each step takes on the machine, s.
 pub struct Posted {
@@ -30,56 +17,48 @@ pub struct Posted {
     pub step_seconds: Vec<f64>,
 }
 
-pub fn layer_mm(_machine: &Machine) -> f64 {
-    0.2
-}
-
 pub fn setup(_initial: &TriMesh, _target: &TriMesh, _ctx: &Ctx) -> Result<DAffine3, Failure> {
     Err(Failure::input("seam"))
 }
 
+/// Plans with the planner asked for.
 pub fn plan(
     job: &Job,
     _config: &PlanConfig,
-    _ctx: &Ctx,
-    _clock: &mut Clock,
+    ctx: &Ctx,
+    clock: &mut Clock,
 ) -> Result<(Plan, PlannerFigures), Failure> {
-    use hmplan::base::Direction;
-    use hmplan::plan::*;
-    let step = |kind, tool: &str, region, block| Step { kind, tool: tool.into(), direction: Direction::Z, holding: 0, region, block, origin: Origin::default() };
-    Ok((
-        Plan {
-            holdings: vec![hmplan::machine::Holding::AS_CLAMPED],
-            steps: vec![
-                step(StepKind::Subtractive, &job.cutters[0].name, job.initial.minus(&job.target), 0),
-                step(StepKind::Additive, &job.nozzles[0].name, job.target.minus(&job.initial), 0),
-            ],
-        },
-        PlannerFigures { planner: "reman".into(), ..Default::default() },
-    ))
+    let (plan, report) = reman::plan(job, &reman::Options::default(), ctx).map_err(failure)?;
+    for (stage, seconds) in &report.seconds {
+        if !clock.seconds.add(stage, *seconds) {
+            tracing::debug!("stage {stage}: {seconds:.2} s");
+        }
+    }
+    let figures = PlannerFigures {
+        planner: "reman".into(),
+        reuse_initial: Some(report.reuse_initial),
+        base_height_ratio: report.base_height_ratio,
+        inaccessible_sm: Some(report.inaccessible_sm),
+        inaccessible_am: Some(report.inaccessible_am),
+        planes_global: Some(report.planes_global),
+        planes_local: Some(report.planes_local),
+        notes: report.notes,
+    };
+    Ok((plan, figures))
 }
 
-pub fn judge(_job: &Job, plan: Plan, _ctx: &Ctx) -> Result<Judged, Failure> {
-    Ok(Judged {
-        plan,
-        judgement: Judgement {
-            passed: true,
-            failed_rules: vec![],
-            rules: vec![RuleLine { rule: "content".into(), passed: true, figure: "fine".into() }],
-            excess_mm3: 0.0,
-            deficit_mm3: 0.0,
-            skin_mm3: 0.0,
-            residual_mm3: 0.0,
-        },
-        location: None,
-    })
+fn failure(e: PlanError) -> Failure {
+    match e {
+        PlanError::Cancelled => Failure::Interrupted,
+        e => Failure::input(e),
+    }
 }
 
-pub fn post(_job: &Job, judged: &Judged, _unverified: bool, _ctx: &Ctx) -> Result<Posted, Failure> {
-    Ok(Posted { text: "%\nG0 X0\n%\n".into(), step_seconds: vec![60.0; judged.plan.steps.len()] })
+pub fn post(_job: &Job, verdict: &Verdict, _ctx: &Ctx) -> Result<Posted, Failure> {
+    Ok(Posted { text: "%\nG0 X0\n%\n".into(), step_seconds: vec![60.0; verdict.plan.steps.len()] })
 }
 
 /// Holds a program against the plan; one line a rule.
-pub fn check_program(_job: &Job, _judged: &Judged, _text: &str, _ctx: &Ctx) -> Result<Vec<RuleLine>, Failure> {
+pub fn check_program(_job: &Job, _verdict: &Verdict, _text: &str, _ctx: &Ctx) -> Result<Vec<RuleLine>, Failure> {
     Ok(vec![RuleLine { rule: "program".into(), passed: true, figure: "fine".into() }])
 }

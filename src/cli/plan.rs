@@ -5,7 +5,7 @@ use super::config::PlanConfig;
 use super::exit::{Exit, Failure};
 use super::inputs::{self, Part};
 use super::output::{self, Destination};
-use super::pipeline::{self, Judged};
+use super::pipeline;
 use super::{progress, summary};
 use hmplan::base::{Ctx, DAffine3};
 use hmplan::machine::Tool;
@@ -15,6 +15,7 @@ use hmplan::plan::{
     end_state,
 };
 use hmplan::report;
+use hmplan::verify::{Verdict, verify};
 use hmplan::voxel::{BitGrid, surface};
 use sha2::{Digest as _, Sha256};
 use std::sync::Arc;
@@ -54,20 +55,16 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
 
     let (plan, mut figures) = pipeline::plan(&job, config, &ctx, &mut clock)?;
     figures.notes.extend(inputs::below_base(&job));
-    let judged = clock.time("verify", || pipeline::judge(&job, plan, &ctx))?;
-    let program = if judged.judgement.passed || config.post_unverified {
-        Some(clock.time("toolpaths", || {
-            pipeline::post(&job, &judged, config.post_unverified, &ctx)
-        })?)
+    let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
+    let program = if verdict.passed() || config.post_unverified {
+        Some(clock.time("toolpaths", || pipeline::post(&job, &verdict, &ctx))?)
     } else {
         figures.notes.push("No program was written, since the plan does not verify.".into());
         None
     };
 
-    let plan = judged.plan();
-    let end = end_state(&job, plan);
-    let mut summary =
-        report::summarise(&job, plan, &end, &judged.judgement, figures, clock.total());
+    let plan = &verdict.plan;
+    let mut summary = report::summarise(&job, &verdict, figures, clock.total());
     summary.peak_memory_mib = peak_memory_mib();
     let file = PlanFile {
         schema: SCHEMA.into(),
@@ -94,8 +91,9 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     };
 
     ctx.check()?;
-    write(&destination, &file, &job, &judged, program.as_ref().map(|p| p.text.as_str()), &ctx)?;
-    summary::show(&file, &judged.judgement.rules, judged.location.as_deref(), output)?;
+    write(&destination, &file, &job, &verdict, program.as_ref().map(|p| p.text.as_str()), &ctx)?;
+    let location = report::residual_location(&job, &verdict);
+    summary::show(&file, &report::rule_lines(&verdict), location.as_deref(), output)?;
     Ok(outcome(&file.summary))
 }
 
@@ -152,7 +150,7 @@ fn prepare(
             inputs::solid(&target, &target_mesh, &frame, ctx)?,
         ))
     })?;
-    let mut rules = Rules::for_pitch(frame.pitch, pipeline::layer_mm(&config.machine));
+    let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&config.nozzles));
     rules.holding = config.rules.holding;
     rules.base = config.rules.base;
     rules.tolerance_mm = config.rules.tolerance_mm.unwrap_or(rules.tolerance_mm);
@@ -175,12 +173,12 @@ fn write(
     destination: &Destination,
     file: &PlanFile,
     job: &Job,
-    judged: &Judged,
+    verdict: &Verdict,
     program: Option<&str>,
     ctx: &Ctx,
 ) -> Result<(), Failure> {
-    let plan = judged.plan();
-    let page = report::page(file, job, plan, &judged.judgement.rules)
+    let plan = &verdict.plan;
+    let page = report::page(file, job, plan, &report::rule_lines(verdict))
         .map_err(|e| Failure::Io(format!("the report cannot be made ({e:#})")))?;
     let draft = destination.begin()?;
     write_states(&draft, job, plan, ctx)?;
@@ -203,7 +201,8 @@ fn write_states(
     ctx.begin("writing states", plan.steps.len() as u64 + 3);
     let mesh = |name: &str, grid: &BitGrid| -> Result<(), Failure> {
         ctx.check()?;
-        let surface = surface(grid, &job.frame);
+        let surface = surface(grid, &job.frame)
+            .map_err(|e| Failure::Io(format!("the surface of {name} cannot be made ({e})")))?;
         draft.write(&format!("{}/{name}.stl", output::STATES), |out| write_stl(&surface, out))?;
         ctx.advance(1);
         Ok(())
@@ -241,4 +240,9 @@ fn peak_memory_mib() -> Option<f64> {
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
     let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some((kib / 1024.0 * 10.0).round() / 10.0)
+}
+
+/// The thinnest layer of the nozzles used, mm: how deep any of them may ride into its own layer.
+fn layer_mm(nozzles: &[Tool]) -> f64 {
+    nozzles.iter().map(|t| t.process.layer_mm).fold(f64::INFINITY, f64::min)
 }

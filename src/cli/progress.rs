@@ -57,7 +57,11 @@ impl Progress for Bars {
     }
 
     fn advance(&self, n: u64) {
-        self.with(|open| open.last().inspect(|bar| bar.inc(n)));
+        self.with(|open| {
+            if let Some(bar) = open.last() {
+                bar.inc(n);
+            }
+        });
     }
 
     fn end(&self) {

@@ -11,8 +11,9 @@ use super::plan::{context, digest, outcome};
 use super::{print, summary};
 use hmplan::base::Ctx;
 use hmplan::machine::ToolKind;
-use hmplan::plan::{Input, Job, Plan, PlanFile, Seconds, StepRecord, Summary, end_state};
+use hmplan::plan::{Input, Job, Plan, PlanFile, Seconds, StepRecord, Summary};
 use hmplan::report::{self, PlannerFigures, RuleLine};
+use hmplan::verify::verify;
 use std::fmt::Write as _;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -34,21 +35,16 @@ pub fn run(dir: &Path, output: &OutputArgs) -> Result<Exit, Failure> {
     let plan = file.plan().map_err(in_file)?;
     let job = rebuild(dir, &file, &ctx)?;
 
-    let judged = pipeline::judge(&job, plan, &ctx)?;
-    let mut rules = judged.judgement.rules.clone();
+    let verdict = verify(&job, plan, &ctx)?;
+    let mut rules = report::rule_lines(&verdict);
     if let Some(text) = &program {
-        rules.extend(pipeline::check_program(&job, &judged, text, &ctx)?);
+        rules.extend(pipeline::check_program(&job, &verdict, text, &ctx)?);
     }
-    let again = report::summarise(
-        &job,
-        judged.plan(),
-        &end_state(&job, judged.plan()),
-        &judged.judgement,
-        claimed(&file.summary),
-        Seconds::default(),
-    );
-    rules.push(file_rule(&file, &again, judged.plan(), &job));
-    report(file, again, &rules, judged.location.as_deref(), output)
+    let again =
+        report::summarise(&job, &verdict, claimed(&file.summary), Seconds::default());
+    rules.push(file_rule(&file, &again, &verdict.plan, &job));
+    let location = report::residual_location(&job, &verdict);
+    report(file, again, &rules, location.as_deref(), output)
 }
 
 /// Prints the rules, or the recomputed summary as JSON, and gives the exit code.

@@ -13,7 +13,7 @@
 use super::{Origin, Plan, Rules, Step, StepKind};
 use crate::base::{DAffine3, DMat3, DVec3, Direction};
 use crate::machine::{Holding, InvalidTool, Machine, Tool, ToolKind};
-use crate::voxel::{BitGrid, Frame, RunRows, RunRowsError};
+use crate::voxel::{BitGrid, Frame, RunRows, RunsError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -165,7 +165,7 @@ pub struct Summary {
     pub states_expanded: Option<usize>,
     pub excess_mm3: f64,
     pub deficit_mm3: f64,
-    /// (excess + deficit)/target volume.
+    /// (excess + deficit − skin)/target volume.
     pub deviation_relative: f64,
     pub residual_mm3: f64,
     pub skin_mm3: f64,
@@ -229,13 +229,15 @@ pub enum FileError {
     #[error("step {step}: {what}")]
     Step { step: usize, what: String },
     #[error("step {step}: its region was altered ({source})")]
-    Region { step: usize, source: RunRowsError },
+    Region { step: usize, source: RunsError },
     #[error("the transform of the {part} part is no rotation with a shift")]
     Transform { part: &'static str },
     #[error("the {part} part's mm_per_unit is {value}; it must be finite and above 0")]
     Scale { part: &'static str, value: f64 },
-    #[error("{0}")]
+    #[error(transparent)]
     Tool(#[from] InvalidTool),
+    #[error("its machine: {0}")]
+    Machine(String),
     #[error("rules.{name} is {value}; it must be finite and not below 0")]
     Rule { name: &'static str, value: f64 },
     #[error("holding {holding}: its up direction is no grid axis, or its height is not finite")]
@@ -279,6 +281,7 @@ impl PlanFile {
         for tool in &self.tools {
             tool.validate()?;
         }
+        self.check_machine()?;
         for (part, input) in [("initial", &self.inputs.initial), ("target", &self.inputs.target)] {
             if !(input.mm_per_unit.is_finite() && input.mm_per_unit > 0.0) {
                 return Err(FileError::Scale { part, value: input.mm_per_unit });
@@ -305,6 +308,15 @@ impl PlanFile {
             }
         }
         self.steps.iter().enumerate().try_for_each(|(i, s)| self.check_step(i + 1, s))
+    }
+
+    /// Holds the machine against every check of a machine file.
+    fn check_machine(&self) -> Result<(), FileError> {
+        let text = toml::to_string(&self.machine).map_err(|e| FileError::Machine(e.to_string()))?;
+        match Machine::parse("machine", &text) {
+            Ok(_) => Ok(()),
+            Err(e) => Err(FileError::Machine(e.to_string())),
+        }
     }
 
     fn check_grid(&self) -> Result<(), FileError> {

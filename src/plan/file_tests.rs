@@ -1,12 +1,8 @@
 use super::*;
-use crate::machine::{BaseKind, HoldingMode, Section, Shape, Table, Workholding};
+use crate::machine::{BaseKind, HoldingMode, Table, Workholding};
 
 fn cutter() -> Tool {
-    Tool {
-        name: "ball".into(),
-        kind: ToolKind::Subtractive,
-        sections: vec![Section { shape: Shape::Ball { radius: 1.5 }, active: true }],
-    }
+    Tool::builtin("w2v-cutter").expect("a preset")
 }
 
 fn input(path: &str) -> Input {
@@ -26,7 +22,7 @@ fn example() -> PlanFile {
     let grid = Frame { pitch: 0.7, dims: [70, 3, 2], origin: DVec3::new(-0.1, 0.0, 1e-3) };
     let step = |from: usize| Step {
         kind: StepKind::Subtractive,
-        tool: "ball".into(),
+        tool: "w2v-cutter".into(),
         direction: Direction::new(DVec3::new(0.1, -0.7, 0.3)).unwrap(),
         holding: 0,
         region: BitGrid::from_fn(grid.dims, |v| v[0] >= from && v[1] != 1),

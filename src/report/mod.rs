@@ -15,4 +15,4 @@ mod summary;
 pub use draw::{Drawing, draw_step};
 pub use page::page;
 pub use place::in_words;
-pub use summary::{Judgement, PlannerFigures, RuleLine, summarise};
+pub use summary::{PlannerFigures, RuleLine, residual_location, rule_lines, summarise};

@@ -1,6 +1,7 @@
 use super::draw::draw_step;
 use super::summary::RuleLine;
 use crate::plan::{Input, Job, Plan, PlanFile, StepKind};
+use minijinja::value::Serde;
 use minijinja::{AutoEscape, Environment, Value, context};
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -31,11 +32,11 @@ pub fn page(
             voxels => thousands(file.grid.voxel_count()),
         },
         machine => &file.machine.name,
-        tools => file.tools.iter().map(|t| &t.name).collect::<Vec<_>>(),
-        summary => Value::from_serialize(s),
-        rules => Value::from_serialize(rules),
+        tools => file.tools.iter().map(|t| t.name.clone()).collect::<Vec<_>>(),
+        summary => Value::from(Serde(s)),
+        rules => Value::from(Serde(rules)),
         steps => steps(file, job, plan),
-        program => Value::from_serialize(&file.program),
+        program => Value::from(Serde(&file.program)),
     })
 }
 
@@ -65,7 +66,7 @@ fn steps(file: &PlanFile, job: &Job, plan: &Plan) -> Vec<Value> {
         let d = step.direction.vec();
         rows.push(context! {
             index => record.index,
-            kind => Value::from_serialize(step.kind),
+            kind => Value::from(Serde(step.kind)),
             tool => &step.tool,
             direction => format!("{:.3}, {:.3}, {:.3}", d.x + 0.0, d.y + 0.0, d.z + 0.0),
             holding => step.holding + 1,

@@ -1,16 +1,6 @@
-use crate::plan::{End, Job, Plan, Seconds, StepKind, Summary};
-
-/// What the verifier found, as it is reported.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Judgement {
-    pub passed: bool,
-    pub failed_rules: Vec<String>,
-    pub rules: Vec<RuleLine>,
-    pub excess_mm3: f64,
-    pub deficit_mm3: f64,
-    pub skin_mm3: f64,
-    pub residual_mm3: f64,
-}
+use super::place::in_words;
+use crate::plan::{Job, Plan, Seconds, StepKind, Summary};
+use crate::verify::{Rule, Verdict};
 
 /// One rule and its figure.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -34,35 +24,64 @@ pub struct PlannerFigures {
     pub notes: Vec<String>,
 }
 
-/// The figures of a plan. Volumes are voxel counts times the voxel volume, so that fractions of
-/// the target's volume are exact on the grid; `deviation_relative` is excess and deficit together,
-/// skin included.
+/// One line a rule, in the order of `docs/RULES.md`.
+pub fn rule_lines(verdict: &Verdict) -> Vec<RuleLine> {
+    Rule::ALL
+        .into_iter()
+        .zip(verdict.lines())
+        .map(|(rule, line)| {
+            let passed = !verdict.rules.iter().any(|r| r.rule == rule && !r.passed);
+            let figure = line.trim_start_matches(rule.name()).trim_start();
+            let figure = figure.trim_start_matches(if passed { "ok" } else { "FAILED" });
+            RuleLine { rule: rule.name().into(), passed, figure: figure.trim().into() }
+        })
+        .collect()
+}
+
+/// Where the largest lump of the residual lies in the target, in words; none without a residual.
+pub fn residual_location(job: &Job, verdict: &Verdict) -> Option<String> {
+    let residual = &verdict.measures.residual;
+    let lumps = [
+        ("excess", &residual.excess_place),
+        ("missing", &residual.deficit_place),
+    ];
+    let (what, lump) = lumps
+        .into_iter()
+        .filter_map(|(what, place)| {
+            let place = place.as_ref()?;
+            Some((what, place.largest.as_deref().unwrap_or(place)))
+        })
+        .max_by_key(|(_, lump)| lump.voxels)?;
+    Some(format!(
+        "{:.1} mm³ {what} at the {}",
+        lump.volume_mm3,
+        in_words(lump.centroid, &job.target_mesh.bounds())
+    ))
+}
+
+/// The figures of a plan and its verdict. Volumes are voxel counts times the voxel volume, so that
+/// fractions of the target's volume are exact on the grid.
 pub fn summarise(
     job: &Job,
-    plan: &Plan,
-    end: &End,
-    judgement: &Judgement,
+    verdict: &Verdict,
     planner: PlannerFigures,
     seconds: Seconds,
 ) -> Summary {
-    let voxel = job.frame.voxel_volume();
+    let (plan, m) = (&verdict.plan, &verdict.measures);
     let target = job.target.count();
-    let fraction = |voxels: usize| voxels as f64 / target.max(1) as f64;
-    let volume = |voxels: usize| voxels as f64 * voxel;
-    let reused = end.reused.count();
-    let target_volume_mm3 = volume(target);
+    let voxel = job.frame.voxel_volume();
     Summary {
         planner: planner.planner,
-        verified: judgement.passed,
-        failed_rules: judgement.failed_rules.clone(),
-        target_volume_mm3,
-        initial_volume_mm3: volume(job.initial.count()),
-        removed_mm3: volume(end.removed.count()),
-        added_mm3: volume(end.added.count()),
-        reused_mm3: volume(reused),
-        reuse_ideal: fraction(job.initial.count_and(&job.target)),
+        verified: verdict.passed(),
+        failed_rules: verdict.failed_rules().into_iter().map(String::from).collect(),
+        target_volume_mm3: m.target_mm3,
+        initial_volume_mm3: job.initial.count() as f64 * voxel,
+        removed_mm3: m.removed_mm3,
+        added_mm3: m.added_mm3,
+        reused_mm3: m.reused_mm3,
+        reuse_ideal: job.initial.count_and(&job.target) as f64 / target.max(1) as f64,
         reuse_initial: planner.reuse_initial,
-        reuse_final: fraction(reused),
+        reuse_final: m.reused_mm3 / m.target_mm3,
         base_height_ratio: planner.base_height_ratio,
         inaccessible_sm: planner.inaccessible_sm,
         inaccessible_am: planner.inaccessible_am,
@@ -77,15 +96,11 @@ pub fn summarise(
         cost: None,
         cost_lower_bound: None,
         states_expanded: None,
-        excess_mm3: judgement.excess_mm3,
-        deficit_mm3: judgement.deficit_mm3,
-        deviation_relative: if target == 0 {
-            0.0
-        } else {
-            (judgement.excess_mm3 + judgement.deficit_mm3) / target_volume_mm3
-        },
-        residual_mm3: judgement.residual_mm3,
-        skin_mm3: judgement.skin_mm3,
+        excess_mm3: m.excess_mm3,
+        deficit_mm3: m.deficit_mm3,
+        deviation_relative: m.deviation_relative,
+        residual_mm3: m.residual_mm3,
+        skin_mm3: m.skin_mm3,
         seconds,
         peak_memory_mib: None,
         notes: planner.notes,
