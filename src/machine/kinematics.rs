@@ -240,3 +240,153 @@ impl Chain {
         (work_from_machine.transform_point3(machine_tip), direction.unwrap_or(Direction::Z))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::fibonacci_sphere;
+    use crate::machine::{Holding, Machine};
+    use proptest::prelude::*;
+
+    /// All three arrangements, and one whose axes are neither square nor through the centre.
+    pub(crate) fn chains() -> Vec<Machine> {
+        let mut machines: Vec<Machine> =
+            Machine::builtin_names().iter().map(|n| Machine::builtin(n).unwrap()).collect();
+        let mut head_head = machines[0].clone();
+        head_head.name = "head-head".into();
+        let axis = |letter, axis, pivot_mm| Rotary {
+            letter,
+            on: Mount::Head,
+            axis,
+            pivot_mm,
+            limits_deg: Some([-200.0, 200.0]),
+            home_deg: 0.0,
+            rapid_deg_min: 3600.0,
+        };
+        head_head.kinematics.first = axis('C', Direction::Z, [0.0, 0.0, 0.0]);
+        head_head.kinematics.second = axis('B', Direction::Y, [5.0, 0.0, 120.0]);
+        let mut nutating = machines[0].clone();
+        nutating.name = "nutating".into();
+        let tilted = Direction::new(DVec3::new(0.1, 1.0, 1.0)).unwrap();
+        nutating.kinematics.first =
+            Rotary { on: Mount::Table, ..axis('B', tilted, [3.0, -20.0, 9.0]) };
+        nutating.kinematics.second.pivot_mm = [0.5, 0.25, 0.0];
+        machines.extend([head_head, nutating]);
+        machines
+    }
+
+    fn angle_between(a: Direction, b: Direction) -> f64 {
+        a.vec().cross(b.vec()).length().atan2(a.dot(b.vec()))
+    }
+
+    /// Tip and direction come back from the axis values of every posture.
+    fn round_trip(machine: &Machine, holding: &Holding, d: Direction, tip: DVec3, gauge: f64) {
+        let placement = machine.placement(holding, DVec3::new(12.0, -7.0, 3.0));
+        let chain = &machine.kinematics;
+        let found = machine.solutions(&placement, d);
+        assert!(found.len() <= 2);
+        assert_eq!(found.is_empty(), !machine.can_point(holding.up, d));
+        for rotary in found {
+            let axes = chain.axes(&placement, rotary, tip, gauge);
+            let (again, pointed) = chain.tip(&placement, axes, gauge);
+            assert!((again - tip).length() < 1e-9, "{}: {tip} came back as {again}", machine.name);
+            // Near the rim of the reachable cone the angle follows the square root of rounding.
+            assert!(angle_between(pointed, d) < 1e-7, "{}: {d:?} {pointed:?}", machine.name);
+            assert!(chain.first.allows(rotary.first_deg));
+            assert!(chain.second.allows(rotary.second_deg));
+        }
+    }
+
+    const UPS: [Direction; 6] = [
+        Direction::Z,
+        Direction::NEG_Z,
+        Direction::X,
+        Direction::NEG_X,
+        Direction::Y,
+        Direction::NEG_Y,
+    ];
+
+    #[test]
+    fn forward_undoes_inverse_in_ten_thousand_directions_on_every_machine() {
+        for machine in chains() {
+            for (i, d) in fibonacci_sphere(10_000).into_iter().enumerate() {
+                let holding = Holding { up: UPS[i % 6], height_mm: 4.0 };
+                let tip = DVec3::new((i % 211) as f64, -((i % 97) as f64), (i % 31) as f64);
+                round_trip(&machine, &holding, d, tip, 60.0);
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(200))]
+        #[test]
+        fn forward_undoes_inverse(
+            v in prop::array::uniform3(-1.0f64..1.0), p in prop::array::uniform3(-200.0f64..200.0),
+            gauge in 0.0f64..300.0, up in 0usize..6, height_mm in -50.0f64..50.0,
+        ) {
+            let d = Direction::new(DVec3::from_array(v)).unwrap_or(Direction::Z);
+            for machine in chains() {
+                round_trip(&machine, &Holding { up: UPS[up], height_mm }, d, p.into(), gauge);
+            }
+        }
+    }
+
+    #[test]
+    fn grid_axes_and_directions_nearly_along_an_axis_come_back() {
+        let tiny = [0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-3];
+        for machine in chains() {
+            for up in UPS {
+                let holding = Holding { up, height_mm: 0.0 };
+                for d in UPS {
+                    for t in tiny {
+                        let near = Direction::new(d.vec() + DVec3::new(t, -2.0 * t, t)).unwrap();
+                        round_trip(&machine, &holding, near, DVec3::new(1.0, 2.0, 30.0), 50.0);
+                    }
+                }
+            }
+        }
+    }
+
+    fn pose(name: &str, d: [f64; 3], tip: [f64; 3]) -> AxisValues {
+        let machine = Machine::builtin(name).unwrap();
+        let placement = machine.placement(&Holding::AS_CLAMPED, DVec3::ZERO);
+        let d = Direction::new(DVec3::from_array(d)).unwrap();
+        let rotary = machine.nearest(&placement, d, RotaryAngles::default()).unwrap();
+        machine.kinematics.axes(&placement, rotary, DVec3::from_array(tip), 60.0)
+    }
+
+    fn assert_pose(found: AxisValues, x: f64, y: f64, z: f64, first: f64, second: f64) {
+        let want = [x, y, z, first, second];
+        let have = [found.x, found.y, found.z, found.first_deg, found.second_deg];
+        for (a, b) in want.iter().zip(have) {
+            assert!((a - b).abs() < 1e-9, "{have:?} instead of {want:?}");
+        }
+    }
+
+    #[test]
+    fn poses_computed_by_hand() {
+        // mx220: pedestal 30, tilting axis 45 above the table. Upright nothing turns.
+        assert_pose(pose("mx220", [0.0, 0.0, 1.0], [1.0, 2.0, 10.0]), 1.0, 2.0, 40.0, 0.0, 0.0);
+        // From −y: A = 90 turns the table by −90° about x: (x, y, z) → (x, z, −y) about z = 45.
+        // (1, 2, 10 + 30 − 45 = −5) → (1, −5, −2) → z = 45 − 2.
+        assert_pose(pose("mx220", [0.0, -1.0, 0.0], [1.0, 2.0, 10.0]), 1.0, -5.0, 43.0, 90.0, 0.0);
+        // From +x: of A ±90 the larger; C = 90 turns the table by −90° about z: (x, y) → (y, −x):
+        // (1, 2, 40) → (2, −1, 40), then as above (2, −5, +1).
+        assert_pose(pose("mx220", [1.0, 0.0, 0.0], [1.0, 2.0, 10.0]), 2.0, -5.0, 46.0, 90.0, 90.0);
+        // generic: pedestal 90, tilting axis 50 above the table. (0, 0, 110 − 50 = 60) → (0, 60, 0).
+        let found = pose("generic-5axis", [0.0, -1.0, 0.0], [0.0, 0.0, 20.0]);
+        assert_pose(found, 0.0, 60.0, 50.0, 90.0, 0.0);
+        // Half way: A = 45 turns (0, 60) by −45° about x: y = 60 sin 45°, z = 50 + 60 cos 45°.
+        let found = pose("generic-5axis", [0.0, -1.0, 1.0], [0.0, 0.0, 20.0]);
+        let half = 60.0 * 0.5f64.sqrt();
+        assert_pose(found, 0.0, half, 50.0 + half, 45.0, 0.0);
+        // 5xm600: head, pivot 70 above the nose, gauge 60, so 130 from pivot to tip. From +x: B = 90
+        // swings the tip from 130 below the pivot to 130 on its −x side; the programmed point is
+        // where the tip stands at B = 0: 130 further in x and 130 lower in z.
+        let found = pose("5xm600", [1.0, 0.0, 0.0], [1.0, 2.0, 10.0]);
+        assert_pose(found, 131.0, 2.0, 110.0 - 130.0, 90.0, 0.0);
+        // From +y: C = 90 turns the table by −90° about z: (1, 2) → (2, −1).
+        let found = pose("5xm600", [0.0, 1.0, 0.0], [1.0, 2.0, 10.0]);
+        assert_pose(found, 132.0, -1.0, 110.0 - 130.0, 90.0, 90.0);
+    }
+}

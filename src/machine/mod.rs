@@ -8,18 +8,23 @@
 //! Guarantees: a loaded [`Tool`] or [`Machine`] has finite figures in range. Not guaranteed: that
 //! a direction or a position can be reached; ask the machine's kinematic chain.
 
+mod file;
 mod kinematics;
 mod orient;
 mod placement;
+mod presets;
 mod process;
 mod profile;
+mod section;
 mod tool;
 mod travel;
 mod workholding;
 
+pub use file::{LARGEST_FILE, ProfileError};
 pub use kinematics::{AxisValues, Chain, Linear, Mount, Rotary, RotaryAngles};
 pub use orient::Unreachable;
 pub use placement::Placement;
+pub use presets::INV_LENGTH_VOXELS;
 pub use process::{Control, Extruder, ExtruderPort, Process};
 pub use profile::Machine;
 pub use tool::{InvalidTool, Section, Shape, Tool, ToolKind};

@@ -164,6 +164,26 @@ impl Chain {
         found.first().copied().ok_or(self.unreachable(d))
     }
 
+    /// Whether the two axes can turn a tool two ways: `Err` says what stands against it.
+    pub(super) fn orientable(&self) -> Result<(), String> {
+        let (one, two) = (&self.first, &self.second);
+        // Axes this nearly parallel turn the tool one way only; 1° still resolves.
+        const PARALLEL_SINE: f64 = 0.017;
+        if one.axis.vec().cross(two.axis.vec()).length() < PARALLEL_SINE {
+            return Err("the two rotary axes are parallel; the tool cannot turn two ways".into());
+        }
+        // The axis next to the tool, or the table axis farthest from the work, must tilt it.
+        let tilting = if two.on == Mount::Head { two } else { one };
+        if tilting.axis.vec().cross(DVec3::Z).length() < PARALLEL_SINE {
+            return Err(format!(
+                "axis {} turns about the tool itself (z) and never tilts it; for two axes on one \
+                 body, first is the one that carries second",
+                tilting.letter
+            ));
+        }
+        Ok(())
+    }
+
     pub(super) fn unreachable(&self, direction: Direction) -> Unreachable {
         Unreachable { direction, first: self.first.letter, second: self.second.letter }
     }

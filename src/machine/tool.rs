@@ -10,8 +10,8 @@ pub enum ToolKind {
 }
 
 /// One piece of a tool's profile; `z` mm above the tip, radii in mm.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(tag = "shape", rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(tag = "shape", rename_all = "kebab-case")]
 pub enum Shape {
     /// Lower half of a ball that touches z = 0.
     Ball { radius: f64 },
@@ -23,7 +23,7 @@ pub enum Shape {
     Platform { z: f64 },
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Section {
     #[serde(flatten)]
     pub shape: Shape,
