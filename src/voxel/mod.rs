@@ -22,6 +22,7 @@ mod frame;
 mod loops;
 mod repair;
 mod runs;
+mod surface;
 mod voxelise;
 #[cfg(test)]
 mod voxelise_tests;
@@ -32,4 +33,5 @@ pub use components::{Components, Connectivity, components, flood};
 pub use distance::{NOWHERE, distance_squared, distance_within};
 pub use frame::{Frame, FrameTooLarge};
 pub use runs::{RunRows, RunsError};
+pub use surface::surface;
 pub use voxelise::voxelise;
