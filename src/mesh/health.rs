@@ -215,8 +215,8 @@ fn is_degenerate(mesh: &TriMesh, t: usize) -> bool {
     let [a, b, c] = mesh.corners(t);
     let longest =
         (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
-    // Negated, so that a point counts.
-    !(mesh.area_normal(t).length() > DEGENERATE * longest)
+    // Not "less", so that a point counts.
+    mesh.area_normal(t).length() <= DEGENERATE * longest
 }
 
 fn duplicates(mesh: &TriMesh) -> usize {

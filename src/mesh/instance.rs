@@ -4,7 +4,7 @@
 //! doublings cannot fill the memory; an object that is part of itself is refused.
 
 use super::error::{Defect, Fault, Place};
-use super::tri::{FARTHEST_MM, TriMesh};
+use super::tri::{TriMesh, is_placeable};
 use crate::base::{DAffine3, DVec3};
 use std::collections::BTreeMap;
 
@@ -156,8 +156,7 @@ impl Placed {
         for v in &object.vertices {
             let p = pose.transform_point3(*v);
             for (mm, value) in p.to_array().into_iter().zip(v.to_array()) {
-                // Negated, so that a NaN is refused.
-                if !(mm.abs() <= FARTHEST_MM) {
+                if !is_placeable(mm) {
                     return Err((Place::File, Defect::Coordinate { value }));
                 }
             }

@@ -100,9 +100,9 @@ pub(super) fn looks_like(start: &[u8]) -> bool {
 }
 
 pub(super) fn read(bytes: &[u8], mm_per_unit: f64) -> Result<TriMesh, Fault> {
-    let (encoding, elements, body, line) = header(bytes)?;
+    let Header { encoding, elements, body, body_line } = header(bytes)?;
     let mut source = match encoding {
-        Encoding::Text => Source::Text(Tokens::at_line(body, line)),
+        Encoding::Text => Source::Text(Tokens::at_line(body, body_line)),
         _ => Source::Binary { bytes: body, at: 0, big: encoding == Encoding::Big },
     };
     let mut soup = Soup::new(mm_per_unit, 0);
@@ -120,8 +120,15 @@ pub(super) fn read(bytes: &[u8], mm_per_unit: f64) -> Result<TriMesh, Fault> {
     })
 }
 
-/// The encoding, the elements, the body and the number of its first line.
-fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element>, &[u8], usize), Fault> {
+struct Header<'a> {
+    encoding: Encoding,
+    elements: Vec<Element>,
+    /// What follows the header, and the number of its first line.
+    body: &'a [u8],
+    body_line: usize,
+}
+
+fn header(bytes: &[u8]) -> Result<Header<'_>, Fault> {
     // A binary body may begin with any byte, so the first line decides what ends a header line.
     let newline: &[u8] = match bytes.iter().position(|b| matches!(b, b'\n' | b'\r')) {
         Some(i) if bytes[i..].starts_with(b"\r\n") => b"\r\n",
@@ -169,7 +176,7 @@ fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element>, &[u8], usize), Fault>
             [b"end_header"] => {
                 let missing = Defect::Truncated { expecting: "the \"format\" line" };
                 let encoding = encoding.ok_or_else(|| at(missing))?;
-                return Ok((encoding, elements, rest, line + 1));
+                return Ok(Header { encoding, elements, body: rest, body_line: line + 1 });
             }
             _ => {
                 let found = shown(&words.join(&b' '));

@@ -6,7 +6,7 @@
 use super::TriMesh;
 use super::error::{Defect, Fault, Place};
 use super::polygon::{self, MAX_CONCAVE_CORNERS};
-use super::tri::FARTHEST_MM;
+use super::tri::is_placeable;
 use crate::base::DVec3;
 
 pub(super) struct Soup {
@@ -50,8 +50,7 @@ impl Soup {
         // Adding zero turns -0 into 0: the same point must have the same bits.
         let p = DVec3::from(xyz) * self.mm_per_unit + DVec3::ZERO;
         for (mm, value) in p.to_array().into_iter().zip(xyz) {
-            // Negated, so that a NaN is refused.
-            if !(mm.abs() <= FARTHEST_MM) {
+            if !is_placeable(mm) {
                 return Err((place, Defect::Coordinate { value }));
             }
         }

@@ -19,7 +19,12 @@ pub enum InvalidMesh {
 
 /// Coordinates beyond this (mm) make squared lengths and grid sizes overflow long before they
 /// could be a part; a kilometre is a thousand times the largest machine.
-pub(super) const FARTHEST_MM: f64 = 1e9;
+const FARTHEST_MM: f64 = 1e9;
+
+/// Whether a vertex may have this coordinate (mm).
+pub(super) fn is_placeable(mm: f64) -> bool {
+    mm.is_finite() && mm.abs() <= FARTHEST_MM
+}
 
 impl TriMesh {
     /// Checks that every vertex is finite and every index in range.
