@@ -1,9 +1,14 @@
 //! Rule `machine`: the tool is one of the job's and of the step's kind, the holding is one the
-//! rules allow, and the machine can point the tool along the direction.
+//! rules allow, the rotary axes can point the tool along the direction, and in one such posture
+//! the linear axes reach every voxel of the region with the tip.
+//!
+//! A cutter's tip stands up to its radius beside the voxel it cuts; the tips a program really uses
+//! are checked when the program is. Here the region's own voxels stand for them.
 
+use super::replay::Held;
 use super::{Rule, RuleResult};
-use crate::base::Direction;
-use crate::machine::{Holding, HoldingMode, InvalidTool, Tool, ToolKind};
+use crate::base::{DVec3, Direction};
+use crate::machine::{Holding, HoldingMode, InvalidTool, Overtravel, Tool, ToolKind};
 use crate::plan::{Job, Plan, Step, StepKind};
 
 /// Why a machine cannot make a step.
@@ -29,20 +34,23 @@ pub(super) enum MachineFault {
         "nothing of the part lies within the grip height of the base plane of holding {holding}"
     )]
     NothingHeld { holding: usize },
-    #[error("({0:.3}, {1:.3}, {2:.3}) is {tilt:.2}° from up, more than the machine's {limit:.2}°",
-        d.vec().x, d.vec().y, d.vec().z)]
-    Direction { d: Direction, tilt: f64, limit: f64 },
+    #[error(
+        "({:.3}, {:.3}, {:.3}) is {tilt:.2}° from up; no rotary angles within the machine's limits \
+         point the tool there, choose another direction or holding",
+        .d.vec().x, .d.vec().y, .d.vec().z
+    )]
+    Direction { d: Direction, tilt: f64 },
+    #[error(transparent)]
+    Overtravel(#[from] Overtravel),
 }
 
-/// `nothing_held`: a base is asked for and no part of the state that the holding began with
-/// touches it.
-pub(super) fn check(job: &Job, plan: &Plan, index: usize, nothing_held: bool) -> RuleResult {
+pub(super) fn check(job: &Job, plan: &Plan, index: usize, held: Held) -> RuleResult {
     let step = &plan.steps[index];
     let faults: Vec<MachineFault> = [
         tool_of(job, step).err(),
         holding_of(job, plan, step).err(),
-        nothing_held.then_some(MachineFault::NothingHeld { holding: step.holding }),
-        pointing(job, plan, step).err(),
+        held.nothing.then_some(MachineFault::NothingHeld { holding: step.holding }),
+        pointing(job, plan, step, held).err(),
     ]
     .into_iter()
     .flatten()
@@ -109,13 +117,37 @@ fn holding_of(job: &Job, plan: &Plan, step: &Step) -> Result<(), MachineFault> {
     Ok(())
 }
 
-fn pointing(job: &Job, plan: &Plan, step: &Step) -> Result<(), MachineFault> {
+fn pointing(job: &Job, plan: &Plan, step: &Step, held: Held) -> Result<(), MachineFault> {
     let (Some(holding), d) = (plan.holdings.get(step.holding), step.direction) else {
         return Ok(()); // named by `holding_of`
     };
-    if job.machine.can_point(holding.up, d) {
-        return Ok(());
+    if !job.machine.can_point(holding.up, d) {
+        let tilt = holding.up.dot(d.vec()).clamp(-1.0, 1.0).acos().to_degrees();
+        return Err(MachineFault::Direction { d, tilt });
     }
-    let tilt = holding.up.dot(d.vec()).clamp(-1.0, 1.0).acos().to_degrees();
-    Err(MachineFault::Direction { d, tilt, limit: job.machine.max_tilt_deg })
+    let Ok(tool) = tool_of(job, step) else { return Ok(()) }; // named by `tool_of`
+    let placement = job.machine.placement(holding, held.contact_center);
+    let tips = row_ends(step, job);
+    let mut refused = None;
+    for rotary in job.machine.solutions(&placement, d) {
+        match job.machine.check_travel(&placement, rotary, tool, &tips) {
+            Ok(()) => return Ok(()),
+            Err(found) => refused = refused.or(Some(found)),
+        }
+    }
+    refused.map_or(Ok(()), |found| Err(found.into()))
+}
+
+/// Centres of the first and last voxel of each row of the region: in one posture the axes move
+/// linearly with the tip, so the voxels between them need no more travel.
+fn row_ends(step: &Step, job: &Job) -> Vec<DVec3> {
+    let mut ends: Vec<[usize; 3]> = Vec::new();
+    for (y, z, x, len) in step.region.runs() {
+        let last = [x + len - 1, y, z];
+        match ends.last_mut() {
+            Some(end) if end[1..] == last[1..] => *end = last,
+            _ => ends.extend([[x, y, z], last]),
+        }
+    }
+    ends.into_iter().map(|v| job.frame.center(v)).collect()
 }

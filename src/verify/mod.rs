@@ -66,7 +66,7 @@ pub fn verify(job: &Job, plan: Plan, ctx: &Ctx) -> Result<Verdict, Cancelled> {
         }
         replay.take(step);
         results.push(content::check(job, index, step, &replay.before));
-        results.push(machine_limits::check(job, &plan, index, replay.nothing_held()));
+        results.push(machine_limits::check(job, &plan, index, replay.held()));
         results.extend(tool_access(job, index, step, &replay, ctx)?);
         if step.kind == StepKind::Additive {
             results.push(support::check(job, index, step, &replay.before));

@@ -2,7 +2,7 @@
 //! end, and the fixed points of the holding a step is made in.
 
 use crate::base::{DVec3, Direction, ImagePlane};
-use crate::machine::BaseKind;
+use crate::machine::{BaseKind, Holding};
 use crate::plan::{Job, Plan, Step, StepKind};
 use crate::voxel::{BitGrid, Frame};
 
@@ -18,6 +18,7 @@ pub(super) struct Replay<'a> {
     holding: Option<usize>,
     fixed: Vec<DVec3>,
     contact_is_empty: bool,
+    contact_center: DVec3,
 }
 
 /// Where a tool works: obstacles, grid and image plane of one step.
@@ -27,6 +28,15 @@ pub(super) struct Site<'a> {
     pub frame: &'a Frame,
     pub direction: Direction,
     pub plane: ImagePlane,
+}
+
+/// How the part stands on the machine in one holding.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Held {
+    /// There is a base to hold it by, and nothing of it is in contact.
+    pub nothing: bool,
+    /// What stands over the table's centre, workpiece coordinates, mm.
+    pub contact_center: DVec3,
 }
 
 impl<'a> Replay<'a> {
@@ -42,6 +52,7 @@ impl<'a> Replay<'a> {
             holding: None,
             fixed: Vec::new(),
             contact_is_empty: false,
+            contact_center: DVec3::ZERO,
         }
     }
 
@@ -71,21 +82,21 @@ impl<'a> Replay<'a> {
         self.contact_is_empty = false;
         // A holding the plan does not have is refused by the machine rule.
         let Some(holding) = self.plan.holdings.get(index) else { return };
-        if self.job.rules.base == BaseKind::None {
-            return;
-        }
-        let frame = &self.job.frame;
+        let (job, frame) = (self.job, &self.job.frame);
         let contact = match index {
-            0 => self.job.base_contact(),
-            _ => holding.contact(&self.before, frame, self.job.rules.grip_mm),
+            0 => job.base_contact(),
+            _ => holding.contact(&self.before, frame, job.rules.grip_mm),
         };
-        self.contact_is_empty = contact.is_empty();
-        self.fixed = self.job.machine.workholding.obstacle_points(holding, &contact, frame);
+        self.contact_center = columns_middle(&contact, holding, frame);
+        if job.rules.base == BaseKind::Pedestal {
+            self.contact_is_empty = contact.is_empty();
+            self.fixed = job.machine.workholding.obstacle_points(holding, &contact, frame);
+        }
     }
 
-    /// Whether the current holding has a base to hold the part by, but nothing touches it.
-    pub fn nothing_held(&self) -> bool {
-        self.contact_is_empty
+    /// How the part of the current step stands on the machine.
+    pub fn held(&self) -> Held {
+        Held { nothing: self.contact_is_empty, contact_center: self.contact_center }
     }
 
     pub fn site<'s>(&'s self, job: &'s Job, step: &Step, solid: &'s BitGrid) -> Site<'s> {
@@ -97,4 +108,24 @@ impl<'a> Replay<'a> {
             plane: step.direction.image_plane(),
         }
     }
+}
+
+/// Mean of the contact's columns along `up`, as [`crate::machine::Workholding`] centres its table;
+/// the middle of the grid when nothing is in contact.
+fn columns_middle(contact: &BitGrid, holding: &Holding, frame: &Frame) -> DVec3 {
+    let up = holding.up.vec();
+    let axis = (0..3).find(|a| up[*a].abs() > 0.5).unwrap_or(2);
+    let mut columns: Vec<[usize; 3]> = contact
+        .iter_ones()
+        .map(|mut v| {
+            v[axis] = 0;
+            v
+        })
+        .collect();
+    columns.sort_unstable();
+    columns.dedup();
+    if columns.is_empty() {
+        return frame.bounds().center();
+    }
+    columns.iter().map(|v| frame.center(*v)).sum::<DVec3>() / columns.len() as f64
 }

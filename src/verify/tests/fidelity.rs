@@ -4,6 +4,7 @@
 use super::reference::{Finding, findings};
 use super::world::{add, cut, cylinder, machine, section};
 use crate::base::{Ctx, DVec3, Direction};
+use crate::machine::Process;
 use crate::machine::{BaseKind, Holding, HoldingMode, Shape, Table, Tool, ToolKind, Workholding};
 use crate::mesh::TriMesh;
 use crate::plan::{Job, Plan, Rules, Step};
@@ -61,7 +62,7 @@ fn tool(kind: ToolKind) -> impl Strategy<Value = Tool> {
                 sections.push(section(Shape::Platform { z: top + 2.0 }, false));
             }
             let name = if active { "cutter" } else { "nozzle" };
-            Tool { name: name.into(), kind, sections }
+            Tool { name: name.into(), kind, sections, process: Process::default() }
         },
     )
 }
@@ -141,8 +142,7 @@ fn figures() -> impl Strategy<Value = Figures> {
 fn job(f: &Figures, [initial, target]: [BitGrid; 2], cutter: Tool, nozzle: Tool) -> Job {
     let frame = Frame { pitch: f.pitch, dims: initial.dims(), origin: DVec3::new(-1.3, 0.4, 0.0) };
     let hold = Workholding { pedestal_mm: f.pedestal, table: Table::Box { x_mm: 8.0, y_mm: 5.0 } };
-    let mut machine = machine(hold);
-    machine.max_tilt_deg = f.tilt;
+    let machine = machine(hold, f.tilt);
     let mut rules = Rules::for_pitch(f.pitch, f.pitch);
     (rules.holding, rules.base) = (f.holding, f.base);
     (rules.overhang_deg, rules.nozzle_dip_mm) = (f.overhang, f.dip);

@@ -140,7 +140,7 @@ fn a_new_holding_brings_new_obstacles() {
     let pocket = cuboid([5, 5, 0], [9, 9, 2]);
     let mut c = case(part, vec![cut(Direction::NEG_Z, pocket)]);
     c.0.rules.holding = HoldingMode::Refixture;
-    c.0.machine.max_tilt_deg = 180.0;
+    c.0.machine.kinematics.first.limits_deg = Some([-180.0, 180.0]);
     assert_fails(&c, &["tool-access"]);
     c.1.holdings.push(Holding { up: Direction::NEG_Z, height_mm: -6.0 });
     c.1.steps[0].holding = 1;

@@ -170,12 +170,31 @@ fn side_cut() -> (crate::plan::Job, crate::plan::Plan) {
 fn machine_direction_beyond_the_tilt() {
     assert_valid(&side_cut());
     let mut c = side_cut();
-    c.0.machine.max_tilt_deg = 60.0;
+    c.0.machine.kinematics.first.limits_deg = Some([-60.0, 60.0]);
     let v = assert_fails(&c, &["machine"]);
     assert!(v.lines()[4].contains("90.00°"), "{}", v.lines()[4]);
     let mut c = side_cut();
     c.1.steps[0].direction = Direction::new(DVec3::new(1.0, 0.0, -0.01)).unwrap();
     assert_fails(&without_base(c), &["machine"]);
+}
+
+#[test]
+fn machine_travel_of_the_linear_axes() {
+    // Gauge 10 mm, pedestal 30 mm, a pocket from z = 4 to 6: the nose goes to 44.5 and 45.5.
+    let mut c = case(block(), vec![cut(Direction::Z, pocket())]);
+    c.0.machine.kinematics.z.limits_mm = [44.4, 1e4];
+    assert_valid(&c);
+    c.0.machine.kinematics.z.limits_mm = [44.6, 1e4];
+    let v = assert_fails(&c, &["machine"]);
+    assert!(v.lines()[4].contains("axis Z"), "{}", v.lines()[4]);
+    c.0.machine.kinematics.z.limits_mm = [0.0, 45.4];
+    assert_fails(&c, &["machine"]);
+    // The contact's middle stands at x = 0, the pocket reaches 1.5 mm to both sides of it.
+    let mut c = case(block(), vec![cut(Direction::Z, pocket())]);
+    c.0.machine.kinematics.x.limits_mm = [-1.5, 1.5];
+    assert_valid(&c);
+    c.0.machine.kinematics.x.limits_mm = [-1.5, 1.4];
+    assert_fails(&c, &["machine"]);
 }
 
 #[test]
@@ -217,7 +236,7 @@ fn machine_holdings() {
     let oblique = Direction::new(DVec3::new(0.1, 0.0, -1.0)).unwrap();
     let mut c = with(Refixture, vec![clamped, Holding { up: oblique, height_mm: -6.0 }], 1);
     c.0.rules.grip_mm = 5.0;
-    c.0.machine.max_tilt_deg = 100.0;
+    c.0.machine.kinematics.first.limits_deg = Some([-100.0, 100.0]);
     assert_fails(&c, &["machine"]);
 }
 

@@ -3,7 +3,7 @@
 
 use super::world::{add, case, cut, cylinder, section};
 use crate::base::{Ctx, DVec3, Direction};
-use crate::machine::{Shape, Tool, ToolKind};
+use crate::machine::{Process, Shape, Tool, ToolKind};
 use crate::verify::verify;
 use crate::voxel::{BitGrid, Frame};
 
@@ -24,6 +24,7 @@ fn long_cutter() -> Tool {
             section(cylinder(60.0, 120.0, 16.0), false),
             section(cylinder(120.0, 200.0, 40.0), false),
         ],
+        process: Process::default(),
     }
 }
 
@@ -36,6 +37,7 @@ fn long_nozzle() -> Tool {
             section(cylinder(5.0, 30.0, 4.5), false),
             section(Shape::Platform { z: 30.0 }, false),
         ],
+        process: Process::default(),
     }
 }
 
@@ -57,7 +59,7 @@ fn seconds_a_step() {
     let tilted = Direction::new(DVec3::new(0.2, 0.13, 1.0)).unwrap();
     let directions = [Direction::Z, tilted, Direction::X];
     let ctx = Ctx::quiet();
-    let mut report = |name: &str, initial: &BitGrid, step| {
+    let report = |name: &str, initial: &BitGrid, step| {
         let (mut job, plan) = case(BitGrid::new(super::world::DIMS), vec![step]);
         let region = &plan.steps[0].region;
         job.target = match plan.steps[0].kind {

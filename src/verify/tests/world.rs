@@ -2,7 +2,8 @@
 
 use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::{
-    BaseKind, Holding, Machine, Section, Shape, Table, Tool, ToolKind, Workholding,
+    BaseKind, Chain, Control, Holding, Linear, Machine, Mount, Process, Rotary, Section, Shape,
+    Table, Tool, ToolKind, Workholding,
 };
 use crate::mesh::TriMesh;
 use crate::plan::{Job, Origin, Plan, Rules, Step, StepKind};
@@ -39,6 +40,7 @@ pub fn cutter() -> Tool {
             section(cylinder(0.0, 10.0, 1.0), true),
             section(cylinder(10.0, 20.0, 4.0), false),
         ],
+        process: Process::default(),
     }
 }
 
@@ -52,11 +54,44 @@ pub fn nozzle(tip_radius: f64, body_z: f64) -> Tool {
             section(cylinder(body_z, 10.0, 3.0), false),
             section(Shape::Platform { z: 10.0 }, false),
         ],
+        process: Process::default(),
     }
 }
 
-pub fn machine(workholding: Workholding) -> Machine {
-    Machine { name: "test".into(), workholding, tools: Vec::new(), max_tilt_deg: 90.0 }
+/// A tilting rotary table without end in C, of this tilt, and ± 10 m of travel.
+pub fn machine(workholding: Workholding, tilt_deg: f64) -> Machine {
+    let linear = Linear { limits_mm: [-1e4, 1e4], home_mm: 0.0 };
+    let rotary = |letter, axis, limits_deg| Rotary {
+        letter,
+        on: Mount::Table,
+        axis,
+        pivot_mm: [0.0; 3],
+        limits_deg,
+        home_deg: 0.0,
+        rapid_deg_min: 3600.0,
+    };
+    Machine {
+        name: "test".into(),
+        description: String::new(),
+        workholding,
+        kinematics: Chain {
+            table_center_mm: [0.0; 3],
+            x: linear,
+            y: linear,
+            z: linear,
+            first: rotary('A', Direction::NEG_X, Some([-tilt_deg, tilt_deg])),
+            second: rotary('C', Direction::NEG_Z, None),
+        },
+        control: Control {
+            dialect: "test".into(),
+            clearance_mm: 20.0,
+            rapid_mm_min: 1e4,
+            max_feed_mm_min: 1e4,
+            max_spindle_rpm: 1e4,
+        },
+        extruder: None,
+        tools: Vec::new(),
+    }
 }
 
 pub fn step(kind: StepKind, direction: Direction, region: BitGrid) -> Step {
@@ -101,7 +136,7 @@ pub fn case(initial: BitGrid, steps: Vec<Step>) -> (Job, Plan) {
         target,
         initial_mesh: nothing(),
         target_mesh: nothing(),
-        machine: machine(hold),
+        machine: machine(hold, 90.0),
         cutters: vec![cutter()],
         nozzles: vec![nozzle(0.4, 3.0)],
         rules: Rules::for_pitch(1.0, 1.0),
