@@ -23,4 +23,5 @@ pub mod plan;
 pub mod planner;
 pub mod verify;
 pub mod toolpath;
+pub mod gcode;
 pub mod report;

@@ -14,7 +14,7 @@
 use super::contour::{chains, nearest_order};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
-use super::process::Milling;
+use super::process::{CLEARANCE_MM, Milling};
 use crate::base::{DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::Step;
@@ -158,7 +158,7 @@ impl<'a> Stage<'a> {
         let fine = free.heights(work.tool, half, h / 2.0);
         let exact = free.heights(work.tool, 0.0, 0.0);
         let highest = |i: &Image| i.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let safe = free.state_top.max(f64::from(highest(&fine))) + process.clearance;
+        let safe = free.state_top.max(f64::from(highest(&fine))) + CLEARANCE_MM;
         Stage {
             top: edge.dilate(&tops, lattice, f64::NEG_INFINITY),
             floor: disc.dilate(&bottoms, lattice, f64::NEG_INFINITY).negated(),
@@ -388,7 +388,7 @@ impl<'a> Stage<'a> {
     fn enter(&mut self, cell: Cell, from: f64, z: f64) {
         self.retract();
         self.push(MoveKind::Rapid, cell, self.safe, 0.0);
-        let near = (from + self.process.clearance).max(z);
+        let near = (from + CLEARANCE_MM).max(z);
         if near < self.safe {
             self.push(MoveKind::Approach, cell, near, self.process.approach_feed);
         }

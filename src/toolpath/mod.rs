@@ -16,18 +16,22 @@ mod moves;
 mod print;
 mod process;
 mod slice;
+#[cfg(test)]
+mod tests;
 
 pub use moves::{Figures, Move, MoveKind, Toolpath};
 pub use print::INSET_SLACK;
-pub use process::{Milling, Printing};
 
 use crate::base::{Cancelled, Ctx, DVec3};
-use crate::machine::{BaseKind, Tool};
+use crate::machine::{BaseKind, Holding, Tool};
 use crate::plan::{Job, Plan, StepKind};
+use crate::verify::Verified;
 use crate::voxel::BitGrid;
 use mill::Work;
 use moves::{merge_collinear, time_s};
+use process::{Milling, Printing};
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// Why a step has no paths.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -38,12 +42,11 @@ pub enum ToolpathError {
     NoHolding { step: usize, holding: usize, holdings: usize },
     #[error("step {step}'s region is on a grid of {found:?} voxels, the job's is {expected:?}")]
     WrongGrid { step: usize, found: [usize; 3], expected: [usize; 3] },
+    #[error("step {step} prints, but machine '{machine}' has no extruder; add [extruder]")]
+    NoExtruder { step: usize, machine: String },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
-
-/// Rapid rate for time estimates, mm/min, where the machine states none.
-const RAPID_MM_MIN: f64 = 6000.0;
 
 /// A plan's states and obstacles as its steps see them.
 pub struct Replay {
@@ -85,7 +88,7 @@ impl Replay {
                     }
                     BaseKind::None => Vec::new(),
                 };
-                held = Some((step.holding, points, middle(job, &contact)));
+                held = Some((step.holding, points, middle(job, holding, &contact)));
             }
             if let Some((_, points, center)) = &held {
                 fixed.push(points.clone());
@@ -102,34 +105,61 @@ impl Replay {
     }
 }
 
-/// Mean of the contact's voxel centres; the middle of the grid when nothing is in contact.
-fn middle(job: &Job, contact: &BitGrid) -> DVec3 {
-    let (mut sum, mut n) = (DVec3::ZERO, 0usize);
-    for v in contact.iter_ones() {
-        sum += job.frame.center(v);
-        n += 1;
+/// Mean of the contact's columns along `up`, as the table is centred; the middle of the grid when
+/// nothing is in contact.
+fn middle(job: &Job, holding: &Holding, contact: &BitGrid) -> DVec3 {
+    let axis = (0..3).find(|a| holding.up.vec()[*a].abs() > 0.5).unwrap_or(2);
+    let mut columns: BTreeSet<[usize; 3]> = BTreeSet::new();
+    for mut v in contact.iter_ones() {
+        v[axis] = 0;
+        columns.insert(v);
     }
-    if n == 0 { job.frame.bounds().center() } else { sum / n as f64 }
+    let sum: DVec3 = columns.iter().map(|v| job.frame.center(*v)).sum();
+    if columns.is_empty() { job.frame.bounds().center() } else { sum / columns.len() as f64 }
+}
+
+/// The paths of a plan's steps, in order, and whether the plan was verified.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Toolpaths {
+    paths: Vec<Toolpath>,
+    verified: bool,
+}
+
+impl Toolpaths {
+    pub fn all(&self) -> &[Toolpath] {
+        &self.paths
+    }
+
+    /// False for paths of [`for_unverified`].
+    pub fn verified(&self) -> bool {
+        self.verified
+    }
+}
+
+/// Paths of every step of a verified plan.
+///
+/// # Errors
+/// When a step cannot be driven on the job's machine, or the user stops the run.
+pub fn for_plan(job: &Job, plan: &Verified<Plan>, ctx: &Ctx) -> Result<Toolpaths, ToolpathError> {
+    Ok(Toolpaths { paths: plan_paths(job, plan.get(), ctx)?, verified: true })
 }
 
 /// Paths of every step of a plan that nobody has verified: they are only as sound as it is.
-pub fn for_unverified(job: &Job, plan: &Plan, ctx: &Ctx) -> Result<Vec<Toolpath>, ToolpathError> {
-    let replay = Replay::of(job, plan)?;
-    plan_paths(job, plan, &replay, ctx)
+///
+/// # Errors
+/// As [`for_plan`].
+pub fn for_unverified(job: &Job, plan: &Plan, ctx: &Ctx) -> Result<Toolpaths, ToolpathError> {
+    Ok(Toolpaths { paths: plan_paths(job, plan, ctx)?, verified: false })
 }
 
-pub(crate) fn plan_paths(
-    job: &Job,
-    plan: &Plan,
-    replay: &Replay,
-    ctx: &Ctx,
-) -> Result<Vec<Toolpath>, ToolpathError> {
+fn plan_paths(job: &Job, plan: &Plan, ctx: &Ctx) -> Result<Vec<Toolpath>, ToolpathError> {
+    let replay = Replay::of(job, plan)?;
     ctx.begin("toolpaths", plan.steps.len() as u64);
     let paths = (0..plan.steps.len())
         .into_par_iter()
         .map(|i| {
             ctx.check()?;
-            let path = step_path(job, plan, replay, i)?;
+            let path = step_path(job, plan, &replay, i)?;
             ctx.advance(1);
             Ok(path)
         })
@@ -152,18 +182,21 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
     };
     let (moves, safe_height, mut figures, bead_mm2) = match step.kind {
         StepKind::Subtractive => {
-            let m = mill::mill(&work, &Milling::for_tool(tool));
+            let m = mill::mill(&work, &Milling::of(&job.machine, tool));
             (m.moves, m.safe_height, m.figures, 0.0)
         }
         StepKind::Additive => {
-            let process = Printing::for_tool(tool);
+            let machine = job.machine.name.clone();
+            let no_extruder = || ToolpathError::NoExtruder { step: i, machine };
+            let extruder = job.machine.extruder.as_ref().ok_or_else(no_extruder)?;
+            let process = Printing::of(&job.machine, extruder, tool);
             let p = print::print(&work, &process);
-            (p.moves, p.safe_height, p.figures, process.bead_mm2())
+            (p.moves, p.safe_height, p.figures, tool.process.bead_section_mm2())
         }
     };
     let moves = merge_collinear(moves);
     figures.region_mm3 = step.region.count() as f64 * job.frame.voxel_volume();
-    figures.time_s = time_s(&moves, RAPID_MM_MIN);
+    figures.time_s = time_s(&moves, job.machine.control.rapid_mm_min);
     let mut path = Toolpath {
         step: i,
         kind: step.kind,

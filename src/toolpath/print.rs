@@ -12,7 +12,7 @@
 use super::image::{Image, Lattice};
 use super::mill::{Free, Work};
 use super::moves::{Figures, Move, MoveKind};
-use super::process::Printing;
+use super::process::{CLEARANCE_MM, Printing};
 use super::slice::{Outline, area, section};
 use crate::base::{DVec2, DVec3};
 use clipper2_rust::{EndType, JoinType, PathsD, PointD, inflate_paths_d, simplify_paths};
@@ -77,7 +77,7 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     let heights = free.heights(work.tool, 0.0, 0.0);
     let blocked = heights.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let top = high + process.layer;
-    let safe = free.state_top.max(f64::from(blocked)).max(top) + process.clearance;
+    let safe = free.state_top.max(f64::from(blocked)).max(top) + CLEARANCE_MM;
     let mut head = Head { heights, safe, process: *process, at: None, moves: Vec::new() };
     for layer in layers {
         head.lay(layer.loops, layer.z);
@@ -206,7 +206,7 @@ impl Head {
             }
         }
         self.travel(line[0], z);
-        let feed = self.process.feed();
+        let feed = self.process.feed;
         for p in &line[1..] {
             self.push(MoveKind::Deposit, *p, z, feed);
         }
@@ -226,8 +226,7 @@ impl Head {
             .map(|c| self.heights.at(c))
             .fold(f64::NEG_INFINITY, f64::max);
         let level = z.max(z0);
-        let over =
-            if blocked > level { (blocked + self.process.clearance).min(self.safe) } else { level };
+        let over = if blocked > level { (blocked + CLEARANCE_MM).min(self.safe) } else { level };
         self.push(MoveKind::Travel, from, over, feed);
         self.push(MoveKind::Travel, to, over, feed);
         self.push(MoveKind::Travel, to, z, feed);
@@ -281,9 +280,8 @@ mod tests {
             width: 0.5,
             perimeters: 2,
             infill: 0.3,
-            rate_mm3_s: 2.5,
+            feed: 1200.0,
             travel_feed: 3000.0,
-            clearance: 2.0,
         }
     }
 

@@ -1,0 +1,126 @@
+use super::interpret::{Motion, Setting, run};
+use super::program::{Checked, Program};
+use super::report::{CheckReport, Finding, Rule, StepFigures};
+use super::sweep::{Scene, judge};
+use crate::base::Ctx;
+use crate::plan::{Job, Plan, StepKind};
+use crate::toolpath::{MoveKind, Replay, Toolpath, ToolpathError, Toolpaths};
+use rayon::prelude::*;
+
+/// Largest difference between the working length a path promises and the one its program runs: a
+/// share of the length, for coordinates written with three decimals, and a floor in mm.
+const PROMISED: (f64, f64) = (5e-4, 0.5);
+
+/// A program is not read beyond this size: 1 GiB, ten times the largest plan's.
+const MOST_BYTES: usize = 1 << 30;
+
+/// Judges a program's text against a plan. With `promised`, working lengths and volumes must be
+/// those of the paths it was written from.
+///
+/// # Errors
+/// When the plan itself is not of the job, or the user stops the run; a bad program is a report.
+pub fn check(
+    text: &str,
+    job: &Job,
+    plan: &Plan,
+    promised: Option<&Toolpaths>,
+    ctx: &Ctx,
+) -> Result<CheckReport, ToolpathError> {
+    let lines = text.bytes().filter(|b| *b == b'\n').count();
+    if text.len() > MOST_BYTES {
+        let message = format!("{} bytes, more than {MOST_BYTES}", text.len());
+        let findings = vec![Finding { line: 1, rule: Rule::Syntax, message }];
+        return Ok(CheckReport { findings, steps: Vec::new(), lines });
+    }
+    let replay = Replay::of(job, plan)?;
+    let placements: Vec<_> = plan
+        .steps
+        .iter()
+        .zip(&replay.contact_center)
+        .map(|(s, c)| job.machine.placement(&plan.holdings[s.holding], *c))
+        .collect();
+    let setting = Setting { job, plan, placements: &placements };
+    let run = run(text, &setting);
+    ctx.begin("check program", plan.steps.len() as u64);
+    let judged: Result<Vec<(StepFigures, Vec<Finding>)>, ToolpathError> = (0..plan.steps.len())
+        .into_par_iter()
+        .map(|i| {
+            ctx.check()?;
+            let line = run.step_lines.get(i).copied().unwrap_or(lines.max(1));
+            let judged = judge_step(job, plan, &replay, i, &run.motions, line)?;
+            ctx.advance(1);
+            Ok(judged)
+        })
+        .collect();
+    ctx.end();
+    let mut findings = run.findings;
+    let mut steps = Vec::with_capacity(plan.steps.len());
+    for (i, (figures, more)) in judged?.into_iter().enumerate() {
+        findings.extend(more);
+        if let Some(p) = promised.and_then(|p| p.all().get(i)) {
+            let line = run.step_lines.get(i).copied().unwrap_or(lines.max(1));
+            findings.extend(against(&figures, p, line));
+        }
+        steps.push(figures);
+    }
+    findings.sort_by_key(|f| (f.line, f.rule));
+    Ok(CheckReport { findings, steps, lines })
+}
+
+/// As [`check`]; hands out the program as checked when no rule is broken.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_program(
+    program: Program,
+    job: &Job,
+    plan: &Plan,
+    promised: Option<&Toolpaths>,
+    ctx: &Ctx,
+) -> Result<(CheckReport, Option<Checked<Program>>), ToolpathError> {
+    let report = check(program.text(), job, plan, promised, ctx)?;
+    let checked = report.passed().then(|| Checked::new(program));
+    Ok((report, checked))
+}
+
+fn judge_step(
+    job: &Job,
+    plan: &Plan,
+    replay: &Replay,
+    i: usize,
+    motions: &[Motion],
+    line: usize,
+) -> Result<(StepFigures, Vec<Finding>), ToolpathError> {
+    let step = &plan.steps[i];
+    let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
+    let scene = Scene {
+        frame: &job.frame,
+        machine: &job.machine,
+        step,
+        tool: job.tool(&step.tool).ok_or_else(no_tool)?,
+        before: &replay.states[i],
+        after: &replay.states[i + 1],
+        fixed: &replay.fixed[i],
+        line,
+    };
+    let from = motions.partition_point(|m| m.step < i);
+    let to = motions.partition_point(|m| m.step <= i);
+    Ok(judge(&scene, &motions[from..to]))
+}
+
+/// Whether a step of the program does as much as its path promises.
+fn against(figures: &StepFigures, path: &Toolpath, line: usize) -> Option<Finding> {
+    let off = |a: f64, b: f64| (a - b).abs() > PROMISED.0 * b + PROMISED.1;
+    let (want, what) = match path.kind {
+        // In a program all moves at feed are alike.
+        StepKind::Subtractive => {
+            (path.length(MoveKind::Cut) + path.length(MoveKind::Approach), "mm at feed")
+        }
+        StepKind::Additive => (path.length(MoveKind::Deposit), "mm of beads"),
+    };
+    off(figures.working_mm, want).then(|| Finding {
+        line,
+        rule: Rule::Volume,
+        message: format!("{:.1} {what}, the plan's paths have {want:.1}", figures.working_mm),
+    })
+}

@@ -1,0 +1,29 @@
+//! Programs: written for a machine, read back, run forward and judged.
+//!
+//! Method: `post` turns paths into 3+2 blocks (rotary axes are indexed at the parking height, then
+//! only linear axes move); `check` parses the text with a reader of its own, runs it through the
+//! machine's kinematics and holds every sampled tool position against the plan's voxel states.
+//!
+//! Guarantees: the same paths give the same bytes; a [`Checked`] program broke no [`Rule`], and
+//! only [`check_program`] makes one. Not guaranteed: that a control's own settings match
+//! the profile (tool lengths, G54 at zero); the way of the tool while rotary axes turn, beyond
+//! that it stands parked; times, which ignore acceleration and tool changes.
+
+mod check;
+mod dialect;
+mod interpret;
+mod post;
+mod program;
+mod report;
+mod skyline;
+mod sweep;
+#[cfg(test)]
+mod tests;
+mod words;
+
+pub use check::{check, check_program};
+pub use dialect::{Dialect, RS274};
+pub use post::{PostError, post};
+pub use program::{Checked, Program};
+pub use report::{CheckReport, Finding, Rule, StepFigures};
+pub use sweep::{LEAST_FILLED, LEAST_SWEPT, MOST_FILLED};

@@ -1,0 +1,322 @@
+//! Writes paths as a 3+2 program.
+//!
+//! Per step: spindle and extruder off, retract to the parking height in machine coordinates, tool
+//! change, rotary axes indexed there, then down to the safe height of the step, and its moves.
+
+use super::dialect::{Dialect, number};
+use super::program::Program;
+use crate::base::DVec3;
+use crate::machine::{Extruder, NoPosture, Overtravel, Placement, RotaryAngles, Tool};
+use crate::plan::{Job, Plan, StepKind};
+use crate::toolpath::{Move, MoveKind, Replay, Toolpath, ToolpathError, Toolpaths};
+use std::fmt::Write;
+
+/// Why a plan's paths cannot be written for the machine.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum PostError {
+    #[error("dialect '{name}' is unknown; the machine profile may name one of: {known}")]
+    UnknownDialect { name: String, known: String },
+    #[error("step {step} prints, but machine '{machine}' has no extruder; add [extruder]")]
+    NoExtruder { step: usize, machine: String },
+    #[error(
+        "step {step}: the extruder's rate asks for {feed:.0} mm/min, the control allows {limit:.0}; \
+         lower volumetric_mm3_s or widen the bead"
+    )]
+    TooFast { step: usize, feed: f64, limit: f64 },
+    #[error("step {step}: {source}")]
+    Posture { step: usize, source: NoPosture },
+    #[error("step {step}: {source}")]
+    Travel { step: usize, source: Overtravel },
+    #[error(transparent)]
+    Paths(#[from] ToolpathError),
+    #[error("the paths are not of this plan: {paths} paths for {steps} steps")]
+    OtherPlan { paths: usize, steps: usize },
+}
+
+/// Writes the program. `digest` names the plan in the header (plain ASCII is kept of it).
+///
+/// # Errors
+/// When the machine cannot make a step as the paths want it.
+pub fn post(job: &Job, plan: &Plan, paths: &Toolpaths, digest: &str) -> Result<Program, PostError> {
+    let name = &job.machine.control.dialect;
+    let dialect = Dialect::named(name).ok_or_else(|| PostError::UnknownDialect {
+        name: name.clone(),
+        known: Dialect::names().collect::<Vec<_>>().join(", "),
+    })?;
+    let steps = plan.steps.len();
+    if paths.all().len() != steps {
+        return Err(PostError::OtherPlan { paths: paths.all().len(), steps });
+    }
+    let replay = Replay::of(job, plan)?;
+    let mut writer = Writer {
+        job,
+        dialect,
+        out: String::new(),
+        rotary: job.machine.kinematics.home(),
+        last: Modal::default(),
+    };
+    writer.header(plan, paths, digest);
+    let mut holding = 0;
+    for (path, center) in paths.all().iter().zip(&replay.contact_center) {
+        let placement = job.machine.placement(&plan.holdings[path.holding], *center);
+        if path.holding != holding {
+            writer.refixture(path);
+            holding = path.holding;
+        }
+        writer.step(path, &placement)?;
+    }
+    writer.epilogue();
+    Ok(Program::from_text(writer.out))
+}
+
+/// Number of a tool: its place in the job's table, from 1.
+pub(super) fn tool_number(job: &Job, name: &str) -> Option<usize> {
+    job.cutters.iter().chain(&job.nozzles).position(|t| t.name == name).map(|i| i + 1)
+}
+
+/// What need not be said again.
+#[derive(Default)]
+struct Modal {
+    motion: Option<u8>,
+    words: [Option<String>; 3],
+    feed: Option<String>,
+}
+
+struct Writer<'a> {
+    job: &'a Job,
+    dialect: Dialect,
+    out: String,
+    rotary: RotaryAngles,
+    last: Modal,
+}
+
+/// Keeps what may stand in a comment of any control.
+fn plain(text: &str) -> String {
+    let keep = |c: &char| c.is_ascii_alphanumeric() || " .,:;-_+/=".contains(*c);
+    text.chars().filter(keep).take(120).collect()
+}
+
+impl Writer<'_> {
+    fn line(&mut self, text: &str) {
+        self.out.push_str(text);
+        self.out.push('\n');
+    }
+
+    fn comment(&mut self, text: &str) {
+        let text = plain(text);
+        self.line(&format!("({text})"));
+    }
+
+    fn header(&mut self, plan: &Plan, paths: &Toolpaths, digest: &str) {
+        let job = self.job;
+        self.comment(&format!("hmplan {}", env!("CARGO_PKG_VERSION")));
+        self.comment(&format!("plan {digest}"));
+        self.comment(if paths.verified() { "plan verified" } else { "PLAN NOT VERIFIED" });
+        self.comment(&format!("machine {}, dialect {}", job.machine.name, self.dialect.name));
+        self.comment("X Y Z: tip in machine coordinates with the head at zero, G54 offset zero");
+        let [x, y, z] = job.machine.kinematics.table_center_mm;
+        let pedestal = job.machine.workholding.pedestal_mm;
+        self.comment(&format!("table centre {x:.3} {y:.3} {z:.3}, pedestal {pedestal:.3} mm"));
+        let tools: Vec<&Tool> = job.cutters.iter().chain(&job.nozzles).collect();
+        for (i, t) in tools.iter().enumerate() {
+            if plan.steps.iter().any(|s| s.tool == t.name) {
+                self.comment(&format!("T{} {} gauge {:.3} mm", i + 1, t.name, t.gauge_mm()));
+            }
+        }
+        let time: f64 = paths.all().iter().map(|p| p.figures.time_s).sum();
+        self.comment(&format!("{} steps, {:.0} min at full feed", plan.steps.len(), time / 60.0));
+        for l in self.dialect.preamble {
+            self.line(l);
+        }
+    }
+
+    fn refixture(&mut self, path: &Toolpath) {
+        self.park();
+        self.comment(&format!("hold the part anew: holding {}", path.holding));
+        self.line("M0");
+    }
+
+    fn epilogue(&mut self) {
+        self.park();
+        self.line("M30");
+    }
+
+    /// To the parking height in machine coordinates; what was modal is said anew afterwards.
+    fn park(&mut self) {
+        let z = number(self.job.machine.kinematics.z.home_mm, self.dialect.linear_digits);
+        self.line(&format!("G53 G0 Z{z}"));
+        self.last = Modal::default();
+    }
+
+    fn step(&mut self, path: &Toolpath, placement: &Placement) -> Result<(), PostError> {
+        let (job, step) = (self.job, path.step);
+        let no_tool = || ToolpathError::NoTool { step, tool: path.tool.clone() };
+        let tool = job.tool(&path.tool).ok_or_else(no_tool)?;
+        let number_of_tool = tool_number(job, &path.tool).ok_or_else(no_tool)?;
+        let rotary = self.posture(path, placement, tool)?;
+        let d = path.direction.vec();
+        let kind = match path.kind {
+            StepKind::Subtractive => "subtractive",
+            StepKind::Additive => "additive",
+        };
+        self.comment(&format!("step {}: {kind}, tool {}", step + 1, path.tool));
+        self.comment(&format!("direction {:.6} {:.6} {:.6}", d.x, d.y, d.z));
+        self.park();
+        self.line(&format!("T{number_of_tool} M6"));
+        self.line(&format!("G43 H{number_of_tool}"));
+        self.index(rotary);
+        match path.kind {
+            StepKind::Subtractive => {
+                self.line(&format!("S{:.0} M3", job.machine.control.spindle(&tool.process)));
+                self.moves(path, placement, tool, None)?;
+                self.park();
+                self.line("M5");
+            }
+            StepKind::Additive => {
+                let machine = job.machine.name.clone();
+                let no_extruder = || PostError::NoExtruder { step, machine };
+                let extruder = job.machine.extruder.as_ref().ok_or_else(no_extruder)?;
+                let (feed, limit) =
+                    (extruder.feed_mm_min(&tool.process), job.machine.control.max_feed_mm_min);
+                if feed > limit {
+                    return Err(PostError::TooFast { step, feed, limit });
+                }
+                self.line(&extruder.m_open);
+                self.moves(path, placement, tool, Some(extruder))?;
+                self.park();
+                self.line(&extruder.m_close);
+            }
+        }
+        Ok(())
+    }
+
+    /// Rotary angles of the step, rounded as they are written, with all its tips within travel.
+    fn posture(
+        &self,
+        path: &Toolpath,
+        placement: &Placement,
+        tool: &Tool,
+    ) -> Result<RotaryAngles, PostError> {
+        let plane = path.direction.image_plane();
+        let mut low = DVec3::INFINITY;
+        let mut high = DVec3::NEG_INFINITY;
+        for m in &path.moves {
+            let p = DVec3::new(plane.u.dot(m.tip), plane.v.dot(m.tip), plane.d.dot(m.tip));
+            (low, high) = (low.min(p), high.max(p));
+        }
+        let corner = |i: usize| {
+            let pick = |b: usize, l: f64, h: f64| if i >> b & 1 == 0 { l } else { h };
+            plane.u * pick(0, low.x, high.x)
+                + plane.v * pick(1, low.y, high.y)
+                + plane.d * pick(2, low.z, high.z)
+        };
+        let tips: Vec<DVec3> =
+            if path.moves.is_empty() { Vec::new() } else { (0..8).map(corner).collect() };
+        let found = self
+            .job
+            .machine
+            .posture(placement, path.direction, self.rotary, tool, &tips)
+            .map_err(|source| PostError::Posture { step: path.step, source })?;
+        let unit = 10f64.powi(self.dialect.rotary_digits as i32);
+        let round = |a: f64| (a * unit).round() / unit + 0.0;
+        Ok(RotaryAngles { first_deg: round(found.first_deg), second_deg: round(found.second_deg) })
+    }
+
+    /// Turns the rotary axes; the tool stands at the parking height.
+    fn index(&mut self, to: RotaryAngles) {
+        let chain = &self.job.machine.kinematics;
+        let digits = self.dialect.rotary_digits;
+        let first = number(to.first_deg, digits);
+        let second = number(to.second_deg, digits);
+        self.line(&format!("G0 {}{first} {}{second}", chain.first.letter, chain.second.letter));
+        self.rotary = to;
+        self.last.motion = Some(0);
+    }
+
+    fn moves(
+        &mut self,
+        path: &Toolpath,
+        placement: &Placement,
+        tool: &Tool,
+        extruder: Option<&Extruder>,
+    ) -> Result<(), PostError> {
+        let job = self.job;
+        let digits = self.dialect.linear_digits;
+        let (mut on, mut drawn, mut primed) = (false, false, false);
+        for (i, m) in path.moves.iter().enumerate() {
+            let axes = job.machine.axes(placement, self.rotary, m.tip, tool);
+            job.machine
+                .check_travel(placement, self.rotary, tool, &[m.tip])
+                .map_err(|source| PostError::Travel { step: path.step, source })?;
+            if let Some(e) = extruder {
+                let lay = m.kind == MoveKind::Deposit;
+                if on && !lay {
+                    self.line(&e.m_off);
+                    self.line(&e.m_retract_on);
+                    (on, drawn) = (false, true);
+                } else if !on && !lay && !drawn {
+                    self.line(&e.m_retract_on);
+                    drawn = true;
+                } else if !on && lay {
+                    if drawn {
+                        self.line(&e.m_retract_off);
+                    }
+                    self.line(&e.m_on);
+                    (on, drawn) = (true, false);
+                    if !primed && e.prime_s > 0.0 {
+                        self.line(&format!("G4 P{}", number(e.prime_s, 3)));
+                    }
+                    primed = true;
+                }
+            }
+            let words = [axes.x, axes.y, axes.z].map(|v| number(v, digits));
+            if i == 0 {
+                // Across at the parking height first, then along the machine's z.
+                self.motion(m, &[Some(&words[0]), Some(&words[1]), None]);
+            }
+            self.motion(m, &[Some(&words[0]), Some(&words[1]), Some(&words[2])]);
+        }
+        if let Some(e) = extruder {
+            if on {
+                self.line(&e.m_off);
+                self.line(&e.m_retract_on);
+                drawn = true;
+            }
+            if drawn {
+                self.line(&e.m_retract_off);
+            }
+        }
+        Ok(())
+    }
+
+    /// One block; words that repeat the last value are left out, a block without words too.
+    fn motion(&mut self, m: &Move, words: &[Option<&String>; 3]) {
+        let code = if m.kind == MoveKind::Rapid { 0 } else { 1 };
+        let mut text = String::new();
+        for ((letter, word), last) in "XYZ".chars().zip(words).zip(&mut self.last.words) {
+            if let Some(w) = word
+                && last.as_ref() != Some(*w)
+            {
+                let _ = write!(text, " {letter}{w}");
+                *last = Some((*w).clone());
+            }
+        }
+        if text.is_empty() {
+            return;
+        }
+        if code == 1 {
+            let feed = number(m.feed.min(self.job.machine.control.max_feed_mm_min), 1);
+            if self.last.feed.as_ref() != Some(&feed) {
+                let _ = write!(text, " F{feed}");
+                self.last.feed = Some(feed);
+            }
+        }
+        let text = if self.last.motion == Some(code) {
+            text.trim_start().to_string()
+        } else {
+            format!("G{code}{text}")
+        };
+        self.last.motion = Some(code);
+        self.line(&text);
+    }
+}

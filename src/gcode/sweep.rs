@@ -1,0 +1,358 @@
+//! One step of a program against the workpiece: what its tool touches, sweeps and fills.
+//!
+//! Method: every move is sampled at most half a pitch apart; at each sample the analytic tool is
+//! held against the voxel centres that must stay. Guarantees: what is reported happens at a
+//! sampled position. Not guaranteed: that a holder clears material which the step itself removes
+//! later; contact shallower than the stated depth.
+
+use super::interpret::{Gait, MOST_FINDINGS, Motion};
+use super::report::{Finding, Rule, StepFigures};
+use super::skyline::Skyline;
+use crate::base::{DVec2, DVec3, ImagePlane};
+use crate::machine::{Machine, Tool};
+use crate::plan::{Step, StepKind};
+use crate::voxel::{BitGrid, Frame};
+
+/// Smallest fraction of a subtractive region that the edge must sweep. Every voxel has a tip that
+/// reaches it; passes a stepover apart leave ridges and corners, which the surface tolerance covers.
+pub const LEAST_SWEPT: f64 = 0.97;
+
+/// Smallest fraction of an additive region within reach of a bead. Specks and walls thinner than
+/// a bead get none.
+pub const LEAST_FILLED: f64 = 0.90;
+
+/// Beads may exceed the region's volume by this factor: they overlap where outlines are narrow.
+pub const MOST_FILLED: f64 = 1.15;
+
+/// Slack in mm for positions written with three decimals.
+const WRITTEN_MM: f64 = 0.01;
+
+/// Everything a step is judged against.
+pub(super) struct Scene<'a> {
+    pub frame: &'a Frame,
+    pub machine: &'a Machine,
+    pub step: &'a Step,
+    pub tool: &'a Tool,
+    pub before: &'a BitGrid,
+    pub after: &'a BitGrid,
+    pub fixed: &'a [DVec3],
+    /// Line of the step's tool change.
+    pub line: usize,
+}
+
+pub(super) fn judge(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
+    let mut findings = touches(scene, motions);
+    let (mut figures, volume) = match scene.step.kind {
+        StepKind::Subtractive => cuts(scene, motions),
+        StepKind::Additive => beads(scene, motions),
+    };
+    findings.extend(volume);
+    let rapid = scene.machine.control.rapid_mm_min;
+    for m in motions {
+        let feed = if m.gait == Gait::Rapid || m.feed <= 0.0 { rapid } else { m.feed };
+        figures.time_s += m.from.map_or(0.0, |f| f.distance(m.to)) / feed * 60.0;
+    }
+    (figures, findings)
+}
+
+/// Positions along a move, at most `apart` mm from each other, both ends included.
+fn samples(m: &Motion, apart: f64) -> impl Iterator<Item = DVec3> + use<> {
+    let from = m.from.unwrap_or(m.to);
+    let n = (from.distance(m.to) / apart).ceil().max(1.0) as usize;
+    let (first, to) = (if m.from.is_some() { 0 } else { n }, m.to);
+    (first..=n).map(move |i| from.lerp(to, i as f64 / n as f64))
+}
+
+struct Told {
+    findings: Vec<Finding>,
+    rule: Rule,
+}
+
+impl Told {
+    fn new(rule: Rule) -> Told {
+        Told { findings: Vec::new(), rule }
+    }
+
+    fn tell(&mut self, line: usize, message: String) {
+        if self.findings.len() < MOST_FINDINGS {
+            self.findings.push(Finding { line, rule: self.rule, message });
+        }
+    }
+}
+
+/// Rapids touch nothing at all, moves at feed nothing deeper than a voxel's diagonal.
+fn touches(scene: &Scene, motions: &[Motion]) -> Vec<Finding> {
+    let plane = scene.step.direction.image_plane();
+    let h = scene.frame.pitch;
+    let cell = if scene.step.direction.is_grid_axis() { h } else { h / 2.0 };
+    let points = |a: &BitGrid, b: Option<&BitGrid>| {
+        let mut shell = a.boundary();
+        if let Some(b) = b {
+            shell.union_with(&b.boundary());
+        }
+        let solid = shell.iter_ones().map(|v| scene.frame.center(v)).collect::<Vec<_>>();
+        [solid.as_slice(), scene.fixed].concat()
+    };
+    let anchor = scene.frame.center([0; 3]);
+    let stays = match scene.step.kind {
+        StepKind::Subtractive => points(scene.after, None),
+        StepKind::Additive => points(scene.before, None),
+    };
+    let stays = Skyline::new(&stays, plane, anchor, cell);
+    let whole = points(scene.before, Some(scene.after));
+    let whole = Skyline::new(&whole, plane, anchor, cell);
+    let (mut rapid, mut gouge) = (Told::new(Rule::Rapid), Told::new(Rule::Gouge));
+    let diagonal = h * 3f64.sqrt();
+    for m in motions {
+        if m.gait == Gait::Rapid {
+            if leaves_straight(&plane, m) {
+                continue;
+            }
+            let touch = |p| whole.touched(scene.tool, p, 0.0, WRITTEN_MM);
+            if let Some(o) = samples(m, h).find_map(touch) {
+                rapid.tell(m.line, format!("a rapid runs the tool into ({o:.2})"));
+            }
+        } else {
+            let touch = |p| stays.touched(scene.tool, p, diagonal, diagonal);
+            if let Some(o) = samples(m, h / 2.0).find_map(touch) {
+                let message = format!("the tool enters ({o:.2}) more than {diagonal:.2} mm deep");
+                gouge.tell(m.line, message);
+            }
+        }
+    }
+    rapid.findings.extend(gouge.findings);
+    rapid.findings
+}
+
+/// Straight away from the work along the tool axis.
+fn leaves_straight(plane: &ImagePlane, m: &Motion) -> bool {
+    m.from.is_some_and(|from| {
+        let across = plane.across(m.to - from).length();
+        plane.height(m.to - from) >= 0.0 && across <= WRITTEN_MM
+    })
+}
+
+/// The lowest tip in each (u, v) cell.
+struct Lowest {
+    plane: ImagePlane,
+    origin: DVec2,
+    cell: f64,
+    n: [usize; 2],
+    tips: Vec<Option<DVec3>>,
+}
+
+impl Lowest {
+    fn over(lo: DVec2, hi: DVec2, cell: f64, plane: ImagePlane) -> Lowest {
+        let n = ((hi - lo) / cell).floor() + DVec2::ONE;
+        let n = [n.x as usize, n.y as usize];
+        Lowest { plane, origin: lo, cell, n, tips: vec![None; n[0] * n[1]] }
+    }
+
+    fn cell_of(&self, uv: DVec2) -> Option<[usize; 2]> {
+        let g = ((uv - self.origin) / self.cell).floor();
+        let inside = g.x >= 0.0 && g.y >= 0.0 && g.x < self.n[0] as f64 && g.y < self.n[1] as f64;
+        inside.then(|| [g.x as usize, g.y as usize])
+    }
+
+    /// False when the tip is outside.
+    fn note(&mut self, tip: DVec3) -> bool {
+        let uv = self.plane.across(tip);
+        let Some(c) = self.cell_of(uv) else { return false };
+        let at = &mut self.tips[c[0] + self.n[0] * c[1]];
+        let z = self.plane.height(tip);
+        if at.is_none_or(|t| z < t.z) {
+            *at = Some(uv.extend(z));
+        }
+        true
+    }
+
+    /// Whether the edge of `tool` at some tip came within `slack` under the point.
+    fn swept(&self, p: DVec3, tool: &Tool, near: &[(i64, i64)], slack: f64) -> bool {
+        let (uv, z) = (self.plane.across(p), self.plane.height(p));
+        let Some(c) = self.cell_of(uv) else { return false };
+        near.iter().any(|(i, j)| {
+            let (i, j) = (c[0] as i64 + i, c[1] as i64 + j);
+            let inside = i >= 0 && j >= 0 && i < self.n[0] as i64 && j < self.n[1] as i64;
+            let tip = if inside { self.tips[i as usize + self.n[0] * j as usize] } else { None };
+            tip.is_some_and(|t| {
+                let rho = (t.truncate().distance(uv) - slack).max(0.0);
+                t.z + tool.active_lower_surface(rho) <= z + slack
+            })
+        })
+    }
+}
+
+/// Cell offsets within `cells`, nearest first.
+fn offsets(cells: f64) -> Vec<(i64, i64)> {
+    let n = cells.ceil() as i64;
+    let mut all: Vec<(i64, i64)> = (-n..=n).flat_map(|i| (-n..=n).map(move |j| (i, j))).collect();
+    all.sort_by_key(|(i, j)| (i * i + j * j, *j, *i));
+    all.retain(|(i, j)| ((i * i + j * j) as f64).sqrt() <= cells + 1.5);
+    all
+}
+
+fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
+    let plane = scene.step.direction.image_plane();
+    let (h, radius) = (scene.frame.pitch, scene.tool.active_radius());
+    let centers: Vec<DVec3> =
+        scene.step.region.iter_ones().map(|v| scene.frame.center(v)).collect();
+    let (mut lo, mut hi) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for p in &centers {
+        (lo, hi) = (lo.min(plane.across(*p)), hi.max(plane.across(*p)));
+    }
+    let volume = centers.len() as f64 * scene.frame.voxel_volume();
+    let mut figures = StepFigures { region_mm3: volume, ..StepFigures::default() };
+    if centers.is_empty() {
+        return (figures, Vec::new());
+    }
+    let margin = DVec2::splat(radius + 4.0 * h);
+    let mut lowest = Lowest::over(lo - margin, hi + margin, h / 2.0, plane);
+    let over = footprint(&lowest, &centers, radius + 2.0 * h);
+    let mut astray = Told::new(Rule::Astray);
+    for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
+        figures.working_mm += m.from.map_or(0.0, |f| f.distance(m.to));
+        let mut away = None;
+        for p in samples(m, h / 2.0) {
+            let inside =
+                lowest.cell_of(plane.across(p)).is_some_and(|c| over[c[0] + lowest.n[0] * c[1]]);
+            if !inside {
+                away = away.or(Some(p));
+            }
+            lowest.note(p);
+        }
+        if let Some(p) = away {
+            astray
+                .tell(m.line, format!("the cutter works at ({p:.2}), away from the step's region"));
+        }
+    }
+    // Half a voxel: a ridge or a corner that a voxel's centre stands in, but not its far side.
+    let slack = h / 2.0 + WRITTEN_MM;
+    let near = offsets((radius + slack) / (h / 2.0));
+    let swept = centers.iter().filter(|p| lowest.swept(**p, scene.tool, &near, slack)).count();
+    figures.coverage = swept as f64 / centers.len() as f64;
+    let mut findings = astray.findings;
+    if figures.coverage < LEAST_SWEPT {
+        let message = format!(
+            "the edge sweeps {:.1} % of the {volume:.0} mm³ to remove, less than {:.0} %",
+            100.0 * figures.coverage,
+            100.0 * LEAST_SWEPT
+        );
+        findings.push(Finding { line: scene.line, rule: Rule::Volume, message });
+    }
+    (figures, findings)
+}
+
+/// Cells within `reach` mm of a point's cell.
+fn footprint(cells: &Lowest, points: &[DVec3], reach: f64) -> Vec<bool> {
+    let mut seeds = vec![false; cells.tips.len()];
+    for p in points {
+        if let Some(c) = cells.cell_of(cells.plane.across(*p)) {
+            seeds[c[0] + cells.n[0] * c[1]] = true;
+        }
+    }
+    // Exact squared distance would be overkill: two passes of chords along u, then the disc in v.
+    let r = (reach / cells.cell).ceil() as usize;
+    let [nx, ny] = cells.n;
+    let mut gap = vec![usize::MAX; seeds.len()];
+    for j in 0..ny {
+        let row = &seeds[j * nx..(j + 1) * nx];
+        let mut last: Option<usize> = None;
+        for i in 0..nx {
+            if row[i] {
+                last = Some(i);
+            }
+            gap[i + nx * j] = last.map_or(usize::MAX, |l| i - l);
+        }
+        let mut next: Option<usize> = None;
+        for i in (0..nx).rev() {
+            if row[i] {
+                next = Some(i);
+            }
+            gap[i + nx * j] = gap[i + nx * j].min(next.map_or(usize::MAX, |l| l - i));
+        }
+    }
+    (0..seeds.len())
+        .map(|k| {
+            let (i, j) = (k % nx, k / nx);
+            (j.saturating_sub(r)..(j + r + 1).min(ny)).any(|y| {
+                let (g, dv) = (gap[i + nx * y], y.abs_diff(j));
+                g <= r && g * g + dv * dv <= r * r
+            })
+        })
+        .collect()
+}
+
+fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
+    let (h, frame, d) = (scene.frame.pitch, scene.frame, scene.step.direction.vec());
+    let process = &scene.tool.process;
+    let region = &scene.step.region;
+    let volume = region.count() as f64 * frame.voxel_volume();
+    let mut figures = StepFigures { region_mm3: volume, ..StepFigures::default() };
+    let mut laid = BitGrid::new(frame.dims);
+    let mut astray = Told::new(Rule::Astray);
+    let within = process.path_mm + h;
+    for m in motions.iter().filter(|m| m.gait == Gait::Deposit) {
+        figures.working_mm += m.from.map_or(0.0, |f| f.distance(m.to));
+        let mut away = None;
+        for p in samples(m, h / 2.0) {
+            let middle = p - d * (process.layer_mm / 2.0);
+            if let Some(v) = frame.voxel_at(middle) {
+                laid.set(v, true);
+            }
+            if !any_near(region, frame, middle, within) {
+                away = away.or(Some(p));
+            }
+        }
+        if let Some(p) = away {
+            astray.tell(m.line, format!("a bead at ({p:.2}), outside the step's region"));
+        }
+    }
+    figures.deposited_mm3 = figures.working_mm * process.bead_section_mm2();
+    let infill = process.infill.clamp(0.05, 1.0);
+    // Half the distance between infill lines, plus what sampling on the grid can lose.
+    let reach = process.path_mm / infill / 2.0 + process.layer_mm + 2.0 * h;
+    let filled =
+        region.iter_ones().filter(|v| any_near(&laid, frame, frame.center(*v), reach)).count();
+    figures.coverage = filled as f64 / region.count().max(1) as f64;
+    let mut findings = astray.findings;
+    let mut volume_finding = |message: String| {
+        findings.push(Finding { line: scene.line, rule: Rule::Volume, message });
+    };
+    if figures.coverage < LEAST_FILLED {
+        volume_finding(format!(
+            "beads reach {:.1} % of the {volume:.0} mm³ to add, less than {:.0} %",
+            100.0 * figures.coverage,
+            100.0 * LEAST_FILLED
+        ));
+    }
+    if figures.deposited_mm3 > MOST_FILLED * volume {
+        volume_finding(format!(
+            "beads hold {:.0} mm³, more than the {volume:.0} mm³ to add",
+            figures.deposited_mm3
+        ));
+    }
+    (figures, findings)
+}
+
+/// Whether a voxel's centre lies within `reach` mm of a point.
+fn any_near(grid: &BitGrid, frame: &Frame, p: DVec3, reach: f64) -> bool {
+    let g = frame.grid_from_world(p).floor();
+    let at = [g.x as i64, g.y as i64, g.z as i64];
+    if grid.get_or_empty(at) && reach >= frame.pitch {
+        return true;
+    }
+    let n = (reach / frame.pitch).ceil() as i64;
+    for k in -n..=n {
+        for j in -n..=n {
+            for i in -n..=n {
+                let v = [at[0] + i, at[1] + j, at[2] + k];
+                if grid.get_or_empty(v)
+                    && frame.center(v.map(|c| c as usize)).distance_squared(p) <= reach * reach
+                {
+                    return true;
+                }
+            }
+        }
+    }
+    false
+}
