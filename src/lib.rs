@@ -24,3 +24,4 @@ pub mod planner;
 pub mod verify;
 pub mod toolpath;
 pub mod gcode;
+pub mod report;
