@@ -13,12 +13,15 @@
 //! z up, and the fabrication base is the plane z = 0.
 
 pub mod base;
-pub mod machine;
 pub mod mesh;
-pub mod plan;
-pub mod verify;
 pub mod voxel;
-
+pub mod machine;
+pub mod region;
+pub mod access;
+pub mod search;
+pub mod plan;
+pub mod planner;
+pub mod verify;
 pub mod toolpath;
-
 pub mod gcode;
+pub mod report;

@@ -1,1 +1,7 @@
-fn main() {}
+//! The `hmplan` command line; everything it computes is in the library.
+
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::main()
+}

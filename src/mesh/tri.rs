@@ -11,7 +11,7 @@ pub struct TriMesh {
 pub enum InvalidMesh {
     #[error("vertex {index} is not finite ({value})")]
     NotFinite { index: usize, value: DVec3 },
-    #[error("vertex {index} lies {value} from the origin, beyond any part this program plans")]
+    #[error("vertex {index} lies {value:?} mm from the origin, beyond any part this program plans")]
     TooFar { index: usize, value: f64 },
     #[error("triangle {triangle} names vertex {vertex}, but there are only {vertices}")]
     IndexOutOfRange { triangle: usize, vertex: u32, vertices: usize },
@@ -20,6 +20,11 @@ pub enum InvalidMesh {
 /// Coordinates beyond this (mm) make squared lengths and grid sizes overflow long before they
 /// could be a part; a kilometre is a thousand times the largest machine.
 const FARTHEST_MM: f64 = 1e9;
+
+/// Whether a vertex may have this coordinate (mm).
+pub(super) fn is_placeable(mm: f64) -> bool {
+    mm.is_finite() && mm.abs() <= FARTHEST_MM
+}
 
 impl TriMesh {
     /// Checks that every vertex is finite and every index in range.

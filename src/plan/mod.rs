@@ -7,10 +7,16 @@
 //! Guarantees: a [`Plan`] read from a file has regions that fit its grid and match their digests.
 //! Not guaranteed: that it is valid; only the verifier can say so.
 
+mod file;
 mod job;
+mod layout;
 mod state;
 mod step;
 
+pub use file::{
+    Command, FileError, Input, Inputs, MOST_STATE_BITS, PlanFile, ProgramRecord, SCHEMA, Seconds,
+    StepRecord, Summary,
+};
 pub use job::{Job, Rules};
 pub use state::{End, end_state};
 pub use step::{Action, Origin, Plan, Plane, Step, StepKind};

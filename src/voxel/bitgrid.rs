@@ -88,6 +88,16 @@ impl BitGrid {
             .map(move |(r, row)| (r % ny, r / ny, row))
     }
 
+    /// Slabs of up to `slices` slices with their first z, in parallel; the bits past `dims[0]` of
+    /// every row must stay zero.
+    pub(super) fn par_slabs_mut(
+        &mut self,
+        slices: usize,
+    ) -> impl IndexedParallelIterator<Item = (usize, &mut [u64])> {
+        let words = self.words_per_row * self.dims[1] * slices;
+        self.words.par_chunks_mut(words.max(1)).enumerate().map(move |(i, w)| (i * slices, w))
+    }
+
     pub fn get(&self, [x, y, z]: [usize; 3]) -> bool {
         debug_assert!(x < self.dims[0]);
         self.words[self.row_start(y, z) + x / 64] >> (x % 64) & 1 == 1
@@ -215,14 +225,7 @@ impl BitGrid {
     /// Sets voxels x..x+len of a row.
     pub fn fill_run(&mut self, y: usize, z: usize, x: usize, len: usize) {
         assert!(x + len <= self.dims[0]);
-        let row = self.row_mut(y, z);
-        let (mut at, end) = (x, x + len);
-        while at < end {
-            let (w, b) = (at / 64, at % 64);
-            let n = (64 - b).min(end - at);
-            row[w] |= (if n == 64 { !0 } else { (1u64 << n) - 1 }) << b;
-            at += n;
-        }
+        set_bits(self.row_mut(y, z), x, x + len);
     }
 
     /// Inclusive box of the solid voxels.
@@ -265,6 +268,17 @@ impl BitGrid {
             }
         });
         out
+    }
+}
+
+/// Sets bits from..end of a row.
+pub(super) fn set_bits(row: &mut [u64], from: usize, end: usize) {
+    let mut at = from;
+    while at < end {
+        let (w, b) = (at / 64, at % 64);
+        let n = (64 - b).min(end - at);
+        row[w] |= (if n == 64 { !0 } else { (1u64 << n) - 1 }) << b;
+        at += n;
     }
 }
 

@@ -28,7 +28,7 @@ pub struct FrameTooLarge {
 }
 
 /// 2³¹ voxels are 256 MiB a grid; a plan holds about a dozen grids.
-const MOST_VOXELS: f64 = 2_147_483_648.0;
+pub(super) const MOST_VOXELS: f64 = 2_147_483_648.0;
 
 impl Frame {
     /// The smallest frame of whole pitches, aligned to z = 0 and to multiples of the pitch, that
@@ -70,7 +70,7 @@ impl Frame {
             && g.x < self.dims[0] as f64
             && g.y < self.dims[1] as f64
             && g.z < self.dims[2] as f64;
-        inside.then(|| [g.x as usize, g.y as usize, g.z as usize])
+        inside.then_some([g.x as usize, g.y as usize, g.z as usize])
     }
 
     /// Volume of one voxel, mm³.

@@ -15,7 +15,23 @@
 //! ```
 
 mod bitgrid;
+mod closure;
+mod components;
+mod distance;
 mod frame;
+mod loops;
+mod repair;
+mod runs;
+mod surface;
+mod voxelise;
+#[cfg(test)]
+mod voxelise_tests;
+mod winding;
 
 pub use bitgrid::BitGrid;
+pub use components::{Components, Connectivity, components, flood};
+pub use distance::{NOWHERE, distance_squared, distance_within};
 pub use frame::{Frame, FrameTooLarge};
+pub use runs::{RunRows, RunsError};
+pub use surface::surface;
+pub use voxelise::voxelise;

@@ -1,0 +1,22 @@
+//! Where tools reach: accessibility of milling and of deposition along any direction, and what
+//! a direction can remove or add from a given state.
+//!
+//! Method: the *depth* engine. For a tool that goes up without end, an obstacle is no more than
+//! its depth image h(u, v) across the direction. The tip may stand at (u, v, z) exactly when
+//! z ≥ H(u, v) = max (h − f), and the edge touches x exactly when x_z ≥ G = min (H + k): two
+//! grey-scale morphologies on an image instead of two Minkowski sums in space.
+//!
+//! Guarantees: along the grid axes the answer equals the definition; along any other direction it
+//! is never larger (what it calls reachable is reachable, with a tip on the lattice of the rules).
+//! Not guaranteed: off the axes it may miss positions within one voxel of an obstacle, and wide
+//! sections (holders, heads) count up to 12 % wider than they are.
+
+mod additive;
+mod depth;
+mod scene;
+mod subtractive;
+
+pub use additive::{CarrierTable, supported};
+pub use depth::{DepthMap, cutter_map, nozzle_map};
+pub use scene::Scene;
+pub use subtractive::{Cut, over_cut, reachable, world_extent};

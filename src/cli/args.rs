@@ -1,0 +1,290 @@
+//! The raw flags, as typed. Nothing is decided here; [`super::config`] does that.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Plans hybrid additive-subtractive manufacturing: from a worn part to a target part, every cut
+/// and deposit checked.
+#[derive(Debug, Parser)]
+#[command(name = "hmplan", version, max_term_width = 100, arg_required_else_help = true)]
+#[command(after_help = "Exit codes: 0 done and verified · 1 bad usage or input · 2 a plan was \
+                        written but does not verify or leaves a residual · 3 I/O or controller \
+                        failure · 130 interrupted")]
+pub struct Cli {
+    #[command(flatten)]
+    pub output: OutputArgs,
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// How much is said, and how many cores are used; none of it changes a result.
+#[derive(Debug, Clone, Args)]
+pub struct OutputArgs {
+    /// Print the summary as one JSON object on standard output, and nothing else there
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Say nothing but errors
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Log each stage to standard error; -vv logs details
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// Threads to use [default: one per core]; the result is the same for any number
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Plan from an initial part to a target part
+    Plan(PlanArgs),
+    /// Check a plan and its program, independently of what made them
+    Verify(VerifyArgs),
+    /// Accessible, inaccessible, collateral and support regions of a part
+    Analyze(AnalyzeArgs),
+    /// Send a program to a controller
+    Stream(StreamArgs),
+    /// Machine profiles
+    Machine {
+        #[command(subcommand)]
+        action: ProfileAction,
+    },
+    /// Tool profiles
+    Tool {
+        #[command(subcommand)]
+        action: ProfileAction,
+    },
+    /// Print a shell completion script
+    Completions { shell: clap_complete::Shell },
+    /// Print a JSON Schema
+    Schema { of: SchemaOf },
+}
+
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// The initial part and the target part (OBJ, STL, PLY, OFF or 3MF); a single part is the
+    /// target, planned from an empty base
+    #[arg(required = true, num_args = 1..=2, value_name = "INITIAL TARGET")]
+    pub parts: Vec<PathBuf>,
+    /// Directory to write: plan.json, out.gcode, report.html, states/
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// Planner [default: reman with two parts, nullify with one]
+    #[arg(long, value_enum)]
+    pub planner: Option<Planner>,
+    /// Search the target's pose in the initial part, or keep the poses of the files
+    #[arg(long, value_enum, default_value_t = Setup::Search)]
+    pub setup: Setup,
+
+    #[command(flatten)]
+    pub machine: MachineArgs,
+    #[command(flatten)]
+    pub units: UnitArgs,
+    #[command(flatten)]
+    pub rules: RuleArgs,
+
+    /// Iterations of the search for local planes
+    #[arg(long, default_value_t = 500, value_name = "N",
+          value_parser = clap::value_parser!(u32).range(1..=10_000_000), help_heading = "Search")]
+    pub iterations: u32,
+    /// Stop searching after this many seconds and keep the best plan so far
+    #[arg(long, value_name = "SECONDS", value_parser = positive, help_heading = "Search")]
+    pub time_limit: Option<f64>,
+    /// Seed of every random choice: same input and seed, same plan
+    #[arg(long, default_value_t = 0, value_name = "N", help_heading = "Search")]
+    pub seed: u64,
+    /// Write out.gcode even when the plan does not verify
+    #[arg(long)]
+    pub post_unverified: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Machine and tools")]
+pub struct MachineArgs {
+    /// Machine profile: a name (see `hmplan machine list`) or a TOML file
+    #[arg(long, default_value = "generic-5axis", value_name = "NAME|FILE")]
+    pub machine: String,
+    /// Cutter: a name or a TOML file; may be repeated [default: the machine's]
+    #[arg(long, value_name = "NAME|FILE")]
+    pub sm_tool: Vec<String>,
+    /// Nozzle: a name or a TOML file; may be repeated [default: the machine's]
+    #[arg(long, value_name = "NAME|FILE")]
+    pub am_tool: Vec<String>,
+}
+
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Units and axes of the input")]
+pub struct UnitArgs {
+    /// Unit of both parts
+    #[arg(long, value_enum, default_value_t = Unit::Mm)]
+    pub unit: Unit,
+    /// Factor on the size of both parts
+    #[arg(long, default_value_t = 1.0, value_name = "F", value_parser = positive)]
+    pub scale: f64,
+    /// File axis that points up, of both parts
+    #[arg(long, value_enum, default_value_t = Axis::Z, allow_hyphen_values = true)]
+    pub up: Axis,
+    /// Unit of the initial part
+    #[arg(long, value_enum, value_name = "UNIT")]
+    pub initial_unit: Option<Unit>,
+    /// Factor on the size of the initial part
+    #[arg(long, value_name = "F", value_parser = positive)]
+    pub initial_scale: Option<f64>,
+    /// File axis of the initial part that points up
+    #[arg(long, value_enum, value_name = "AXIS", allow_hyphen_values = true)]
+    pub initial_up: Option<Axis>,
+    /// Unit of the target part
+    #[arg(long, value_enum, value_name = "UNIT")]
+    pub target_unit: Option<Unit>,
+    /// Factor on the size of the target part
+    #[arg(long, value_name = "F", value_parser = positive)]
+    pub target_scale: Option<f64>,
+    /// File axis of the target part that points up
+    #[arg(long, value_enum, value_name = "AXIS", allow_hyphen_values = true)]
+    pub target_up: Option<Axis>,
+}
+
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Grid and rules")]
+pub struct RuleArgs {
+    /// Voxel size in mm [default: about 8 million voxels, at most a third of the smallest tool radius]
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    pub resolution: Option<f64>,
+    /// Unreached material this close to the reused volume is skin [default: max(1.5 voxels, 0.5)]
+    #[arg(long, value_name = "MM", value_parser = not_negative)]
+    pub tolerance: Option<f64>,
+    /// What carries the part: a pedestal and table that tools must not touch, or nothing
+    #[arg(long, value_enum, default_value_t = Base::Pedestal)]
+    pub base: Base,
+    /// Hold the part on its base throughout, or allow to hold it anew
+    #[arg(long, value_enum, default_value_t = HoldingArg::Base)]
+    pub holding: HoldingArg,
+    /// Height over the base plane that counts as held, mm [default: max(2 voxels, 2)]
+    #[arg(long, value_name = "MM", value_parser = not_negative)]
+    pub grip: Option<f64>,
+}
+
+#[derive(Debug, Args)]
+pub struct VerifyArgs {
+    /// Directory that `hmplan plan` wrote
+    pub dir: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub struct AnalyzeArgs {
+    pub part: PathBuf,
+    #[arg(long)]
+    pub tool: String,
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub direction: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub struct StreamArgs {
+    pub file: PathBuf,
+    #[arg(long)]
+    pub port: String,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum ProfileAction {
+    /// Names of the profiles that come with the program
+    List,
+    /// What a profile says, in words
+    Show { name: String },
+    /// Check a profile file
+    Check { file: PathBuf },
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SchemaOf {
+    Plan,
+    Machine,
+    Tool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Planner {
+    /// Reuse the initial part, by clipping planes and blocks
+    Reman,
+    /// Optimal sequences of over- and under-cuts and fills
+    Search,
+    /// Exact fabrication, voxel by voxel
+    Nullify,
+    /// Alternating blocks with few changes of process
+    Blocks,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Setup {
+    Search,
+    Keep,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Unit {
+    Mm,
+    In,
+    M,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Axis {
+    X,
+    Y,
+    Z,
+    #[value(name = "-x")]
+    NegX,
+    #[value(name = "-y")]
+    NegY,
+    #[value(name = "-z")]
+    NegZ,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Base {
+    Pedestal,
+    None,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum HoldingArg {
+    Base,
+    Refixture,
+}
+
+/// A finite number above 0.
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v.is_finite() && v > 0.0 => Ok(v),
+        _ => Err("give a number above 0".into()),
+    }
+}
+
+/// A finite number not below 0.
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v.is_finite() && v >= 0.0 => Ok(v),
+        _ => Err("give a number not below 0".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_flags_are_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn negative_axes_need_no_equals_sign() {
+        let cli = Cli::try_parse_from(["hmplan", "plan", "a", "b", "-o", "d", "--up", "-y"]);
+        match cli.unwrap().command {
+            Command::Plan(p) => assert_eq!(p.units.up, Axis::NegY),
+            other => panic!("{other:?}"),
+        }
+    }
+}

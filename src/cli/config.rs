@@ -1,0 +1,230 @@
+//! From flags to a resolved configuration: everything a plan depends on, checked, before any part
+//! is read.
+
+use super::args::{self, Axis, PlanArgs, Planner, Setup, Unit, UnitArgs};
+use super::exit::Failure;
+use super::profiles;
+use hmplan::base::DMat3;
+use hmplan::machine::{BaseKind, HoldingMode, Machine, Tool, ToolKind};
+use hmplan::plan::Command;
+use std::path::{Path, PathBuf};
+
+/// One part as it is to be read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PartConfig {
+    pub path: PathBuf,
+    /// Millimetres of one unit of the file, times the scale.
+    pub mm_per_unit: f64,
+    /// Turns the file's up axis to +z.
+    pub up: Axis,
+}
+
+/// Overrides of the rules' defaults, which depend on the grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RuleConfig {
+    pub holding: HoldingMode,
+    pub base: BaseKind,
+    pub tolerance_mm: Option<f64>,
+    pub grip_mm: Option<f64>,
+}
+
+/// A planning run, resolved.
+#[derive(Clone, Debug)]
+pub struct PlanConfig {
+    pub initial: PartConfig,
+    pub target: PartConfig,
+    pub output: PathBuf,
+    pub setup: Setup,
+    pub machine: Machine,
+    pub cutters: Vec<Tool>,
+    pub nozzles: Vec<Tool>,
+    pub resolution_mm: Option<f64>,
+    pub rules: RuleConfig,
+    pub iterations: usize,
+    pub time_limit_s: Option<f64>,
+    pub seed: u64,
+    pub post_unverified: bool,
+}
+
+impl PlanConfig {
+    /// What the plan file records of it.
+    pub fn command(&self) -> Command {
+        Command {
+            planner: "reman".into(),
+            setup: match self.setup {
+                Setup::Search => "search",
+                Setup::Keep => "keep",
+            }
+            .into(),
+            resolution_mm: self.resolution_mm,
+            iterations: self.iterations,
+            time_limit_s: self.time_limit_s,
+            post_unverified: self.post_unverified,
+        }
+    }
+}
+
+/// # Errors
+/// A planner this build lacks, a machine or tool that does not load, a tool of the wrong kind.
+pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
+    let [initial, target] = match (args.planner, args.parts.as_slice()) {
+        (None | Some(Planner::Reman), [initial, target]) => [initial, target],
+        (Some(Planner::Reman), _) => {
+            return Err(Failure::input(
+                "planner reman reuses an initial part, but a single part was given; give INITIAL \
+                 and TARGET",
+            ));
+        }
+        (None, _) => {
+            return Err(Failure::input(
+                "planning a single part from an empty base needs planner nullify, which this \
+                 version does not have yet; give two parts: hmplan plan INITIAL TARGET -o DIR",
+            ));
+        }
+        (Some(planner), _) => return Err(no_such_planner(planner)),
+    };
+    let machine = profiles::find_machine(&args.machine.machine)?;
+    let cutters = tools(&machine, &args.machine.sm_tool, ToolKind::Subtractive)?;
+    let nozzles = tools(&machine, &args.machine.am_tool, ToolKind::Additive)?;
+    let u = &args.units;
+    Ok(PlanConfig {
+        initial: part(initial, u, (u.initial_unit, u.initial_scale, u.initial_up)),
+        target: part(target, u, (u.target_unit, u.target_scale, u.target_up)),
+        output: args.output.clone(),
+        setup: args.setup,
+        machine,
+        cutters,
+        nozzles,
+        resolution_mm: args.rules.resolution,
+        rules: RuleConfig {
+            holding: match args.rules.holding {
+                args::HoldingArg::Base => HoldingMode::Base,
+                args::HoldingArg::Refixture => HoldingMode::Refixture,
+            },
+            base: match args.rules.base {
+                args::Base::Pedestal => BaseKind::Pedestal,
+                args::Base::None => BaseKind::None,
+            },
+            tolerance_mm: args.rules.tolerance,
+            grip_mm: args.rules.grip,
+        },
+        iterations: args.iterations as usize,
+        time_limit_s: args.time_limit,
+        seed: args.seed,
+        post_unverified: args.post_unverified,
+    })
+}
+
+fn no_such_planner(planner: Planner) -> Failure {
+    let name = match planner {
+        Planner::Reman => "reman",
+        Planner::Search => "search",
+        Planner::Nullify => "nullify",
+        Planner::Blocks => "blocks",
+    };
+    Failure::Input(format!(
+        "planner {name} is not in version {}; use --planner reman with two parts",
+        env!("CARGO_PKG_VERSION")
+    ))
+}
+
+fn part(
+    path: &Path,
+    both: &UnitArgs,
+    (unit, scale, up): (Option<Unit>, Option<f64>, Option<Axis>),
+) -> PartConfig {
+    let mm = match unit.unwrap_or(both.unit) {
+        Unit::Mm => 1.0,
+        Unit::In => 25.4,
+        Unit::M => 1000.0,
+    };
+    PartConfig {
+        path: path.to_path_buf(),
+        mm_per_unit: mm * scale.unwrap_or(both.scale),
+        up: up.unwrap_or(both.up),
+    }
+}
+
+/// The named tools, or all of the machine's of that kind, in the order in which they are tried.
+fn tools(machine: &Machine, names: &[String], kind: ToolKind) -> Result<Vec<Tool>, Failure> {
+    let (word, flag) = match kind {
+        ToolKind::Subtractive => ("cutter", "--sm-tool"),
+        ToolKind::Additive => ("nozzle", "--am-tool"),
+    };
+    let tools: Vec<Tool> = if names.is_empty() {
+        machine.tools_of(kind).into_iter().cloned().collect()
+    } else {
+        names.iter().map(|n| profiles::find_tool(machine, n)).collect::<Result<_, _>>()?
+    };
+    if tools.is_empty() {
+        return Err(Failure::Input(format!(
+            "machine '{}' has no {word}; name one with {flag}",
+            machine.name
+        )));
+    }
+    for (i, tool) in tools.iter().enumerate() {
+        if tool.kind != kind {
+            return Err(Failure::Input(format!(
+                "{flag} {}: that tool is no {word}; see `hmplan tool list`",
+                tool.name
+            )));
+        }
+        if tools[..i].iter().any(|t| t.name == tool.name) {
+            return Err(Failure::Input(format!("{flag} names '{}' twice", tool.name)));
+        }
+    }
+    Ok(tools)
+}
+
+impl Axis {
+    /// The rotation that turns this axis to +z, exact.
+    pub fn to_z(self) -> DMat3 {
+        use hmplan::base::DVec3 as V;
+        // Rows of each rotation, written as columns of its transpose.
+        let rows = match self {
+            Axis::Z => [V::X, V::Y, V::Z],
+            Axis::NegZ => [V::X, V::NEG_Y, V::NEG_Z],
+            Axis::X => [V::Y, V::Z, V::X],
+            Axis::NegX => [V::NEG_Y, V::Z, V::NEG_X],
+            Axis::Y => [V::X, V::NEG_Z, V::Y],
+            Axis::NegY => [V::X, V::Z, V::NEG_Y],
+        };
+        DMat3::from_cols(rows[0], rows[1], rows[2]).transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use hmplan::base::DVec3;
+
+    #[test]
+    fn every_axis_turns_to_z_without_mirroring() {
+        for (axis, v) in [
+            (Axis::X, DVec3::X),
+            (Axis::Y, DVec3::Y),
+            (Axis::Z, DVec3::Z),
+            (Axis::NegX, DVec3::NEG_X),
+            (Axis::NegY, DVec3::NEG_Y),
+            (Axis::NegZ, DVec3::NEG_Z),
+        ] {
+            let m = axis.to_z();
+            assert_eq!(m * v, DVec3::Z, "{axis:?}");
+            assert_eq!(m.determinant(), 1.0, "{axis:?}");
+        }
+    }
+
+    #[test]
+    fn flags_for_one_part_win_over_flags_for_both() {
+        use clap::Parser as _;
+        let cli = args::Cli::try_parse_from([
+            "hmplan", "plan", "a", "b", "-o", "d", "--unit", "in", "--scale", "2",
+            "--target-unit", "m",
+        ]);
+        let args::Command::Plan(args) = cli.unwrap().command else { panic!("a plan") };
+        let u = &args.units;
+        let a = part(Path::new("a"), u, (u.initial_unit, u.initial_scale, u.initial_up));
+        let b = part(Path::new("b"), u, (u.target_unit, u.target_scale, u.target_up));
+        assert_eq!((a.mm_per_unit, b.mm_per_unit), (50.8, 2000.0));
+    }
+}

@@ -1,0 +1,118 @@
+//! The command line: raw flags ([`args`]) → resolved configuration ([`config`]) → one function a
+//! subcommand. Belongs to the binary alone.
+
+mod args;
+mod config;
+mod exit;
+mod inputs;
+mod output;
+mod pipeline;
+mod plan;
+mod profiles;
+mod progress;
+mod summary;
+mod verify;
+
+use args::{Cli, Command, OutputArgs, SchemaOf};
+use clap::{CommandFactory as _, Parser as _};
+use exit::{Exit, Failure};
+use std::io::{IsTerminal as _, Write as _};
+use std::process::ExitCode;
+
+/// Parses, runs and turns the outcome into an exit code.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => {
+            // Help and version are no errors; everything else is bad usage. A closed pipe changes
+            // neither.
+            let _ = e.print();
+            let exit = if e.use_stderr() { Exit::Input } else { Exit::Done };
+            return ExitCode::from(exit as u8);
+        }
+    };
+    let exit = match start(&cli.output).and_then(|()| run(cli)) {
+        Ok(exit) => exit,
+        Err(failure) => {
+            let _ = writeln!(std::io::stderr(), "error: {failure}");
+            failure.exit()
+        }
+    };
+    ExitCode::from(exit as u8)
+}
+
+fn run(cli: Cli) -> Result<Exit, Failure> {
+    match cli.command {
+        Command::Plan(args) => plan::run(&config::resolve(&args)?, &cli.output),
+        Command::Verify(args) => verify::run(&args.dir, &cli.output),
+        Command::Machine { action } => profiles::machine(&action),
+        Command::Tool { action } => profiles::tool(&action),
+        Command::Completions { shell } => completions(shell),
+        Command::Schema { of } => schema(of),
+        Command::Analyze(args) => Err(not_yet(&format!(
+            "analyze ({} with tool {}{})",
+            args.part.display(),
+            args.tool,
+            args.direction.map_or(String::new(), |d| format!(" along {d}"))
+        ))),
+        Command::Stream(args) => {
+            Err(not_yet(&format!("stream ({} to {})", args.file.display(), args.port)))
+        }
+    }
+}
+
+fn not_yet(what: &str) -> Failure {
+    Failure::Input(format!(
+        "{what}: not in version {}; `hmplan plan` and `hmplan verify` are",
+        env!("CARGO_PKG_VERSION")
+    ))
+}
+
+/// Sets up logs and threads before any work begins.
+fn start(output: &OutputArgs) -> Result<(), Failure> {
+    let level = match (output.quiet, output.verbose) {
+        (true, _) => "off",
+        (_, 0) => "warn",
+        (_, 1) => "info",
+        _ => "debug",
+    };
+    tracing_subscriber::fmt()
+        .with_env_filter(tracing_subscriber::EnvFilter::new(format!("hmplan={level}")))
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .without_time()
+        .init();
+    let threads = output.threads.map_or(0, usize::from);
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .map_err(|e| Failure::Io(format!("threads cannot be started ({e}); try --threads 1")))
+}
+
+fn completions(shell: clap_complete::Shell) -> Result<Exit, Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Cli::command(), "hmplan", &mut script);
+    print(&script)
+}
+
+fn schema(of: SchemaOf) -> Result<Exit, Failure> {
+    let schema = match of {
+        SchemaOf::Plan => schemars::schema_for!(hmplan::plan::PlanFile),
+        SchemaOf::Machine => schemars::schema_for!(hmplan::machine::Machine),
+        SchemaOf::Tool => schemars::schema_for!(hmplan::machine::Tool),
+    };
+    let text = serde_json::to_string_pretty(&schema).map_err(|e| Failure::Io(e.to_string()))?;
+    print(format!("{text}\n").as_bytes())
+}
+
+/// Writes to standard output. A reader that went away (`| head`) is no failure.
+fn print(bytes: &[u8]) -> Result<Exit, Failure> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(bytes).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Failure::Io(format!("standard output cannot be written ({e})")))
+        }
+        _ => Ok(Exit::Done),
+    }
+}

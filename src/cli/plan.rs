@@ -1,0 +1,248 @@
+//! `hmplan plan`: read, place, voxelise, plan, judge, post, write.
+
+use super::args::{OutputArgs, Setup};
+use super::config::PlanConfig;
+use super::exit::{Exit, Failure};
+use super::inputs::{self, Part};
+use super::output::{self, Destination};
+use super::pipeline;
+use super::{progress, summary};
+use hmplan::base::{Ctx, DAffine3};
+use hmplan::machine::Tool;
+use hmplan::mesh::write_stl;
+use hmplan::plan::{
+    Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Seconds, StepKind, Summary,
+    end_state,
+};
+use hmplan::report;
+use hmplan::verify::{Verdict, verify};
+use hmplan::voxel::{BitGrid, surface};
+use sha2::{Digest as _, Sha256};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Measured times of the stages.
+pub struct Clock {
+    start: Instant,
+    pub seconds: Seconds,
+}
+
+impl Clock {
+    pub fn start() -> Clock {
+        Clock { start: Instant::now(), seconds: Seconds::default() }
+    }
+
+    /// Runs one stage and adds its time.
+    pub fn time<R>(&mut self, stage: &'static str, work: impl FnOnce() -> R) -> R {
+        let began = Instant::now();
+        let result = work();
+        self.seconds.add(stage, began.elapsed().as_secs_f64());
+        result
+    }
+
+    fn total(mut self) -> Seconds {
+        self.seconds.add("total", self.start.elapsed().as_secs_f64());
+        self.seconds
+    }
+}
+
+pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
+    let mut clock = Clock::start();
+    let destination = Destination::claim(&config.output)?;
+    let ctx = context(output, config.time_limit_s, config.seed)?;
+    let (job, inputs) = prepare(config, &ctx, &mut clock)?;
+
+    let (plan, mut figures) = pipeline::plan(&job, config, &ctx, &mut clock)?;
+    figures.notes.extend(inputs::below_base(&job));
+    let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
+    let program = if verdict.passed() || config.post_unverified {
+        Some(clock.time("toolpaths", || pipeline::post(&job, &verdict, &ctx))?)
+    } else {
+        figures.notes.push("No program was written, since the plan does not verify.".into());
+        None
+    };
+
+    let plan = &verdict.plan;
+    let mut summary = report::summarise(&job, &verdict, figures, clock.total());
+    summary.peak_memory_mib = peak_memory_mib();
+    let file = PlanFile {
+        schema: SCHEMA.into(),
+        hmplan_version: env!("CARGO_PKG_VERSION").into(),
+        seed: config.seed,
+        command: config.command(),
+        inputs,
+        grid: job.frame,
+        machine: config.machine.clone(),
+        tools: job.cutters.iter().chain(&job.nozzles).cloned().collect(),
+        rules: job.rules,
+        holdings: plan.holdings.clone(),
+        steps: PlanFile::step_records(
+            plan,
+            &job.frame,
+            program.as_ref().map_or(&[], |p| p.step_seconds.as_slice()),
+        ),
+        program: program.as_ref().map(|p| ProgramRecord {
+            path: output::PROGRAM.into(),
+            sha256: digest(p.text.as_bytes()),
+            lines: p.text.lines().count(),
+        }),
+        summary,
+    };
+
+    ctx.check()?;
+    write(&destination, &file, &job, &verdict, program.as_ref().map(|p| p.text.as_str()), &ctx)?;
+    let location = report::residual_location(&job, &verdict);
+    summary::show(&file, &report::rule_lines(&verdict), location.as_deref(), output)?;
+    Ok(outcome(&file.summary))
+}
+
+/// 0 only when every rule holds and nothing is left over.
+pub fn outcome(summary: &Summary) -> Exit {
+    if summary.verified && summary.residual_mm3 == 0.0 { Exit::Done } else { Exit::Unverified }
+}
+
+/// Ctrl-C asks to stop; a second one stops at once.
+pub fn context(output: &OutputArgs, limit: Option<f64>, seed: u64) -> Result<Ctx, Failure> {
+    let cancel = Arc::new(AtomicBool::new(false));
+    let flag = cancel.clone();
+    ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(Exit::Interrupted as i32);
+        }
+    })
+    .map_err(|e| Failure::Io(format!("Ctrl-C cannot be caught ({e})")))?;
+    // A limit beyond what a clock can hold is none.
+    let limit = limit.and_then(|s| Duration::try_from_secs_f64(s).ok());
+    let deadline = limit.and_then(|d| Instant::now().checked_add(d));
+    Ok(Ctx::new(cancel, deadline, progress::fitting(output), seed))
+}
+
+fn prepare(
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<(Job, Inputs), Failure> {
+    let (mut initial, mut target) = clock.time("load", || -> Result<_, Failure> {
+        Ok((Part::read(&config.initial)?, Part::read(&config.target)?))
+    })?;
+    for part in [&initial, &target] {
+        for warning in &part.record.warnings {
+            tracing::warn!("{}: {warning}", part.record.path);
+        }
+    }
+    inputs::stand(&mut initial, [config.initial.up, config.target.up], &mut target)?;
+    let initial_mesh = initial.placed()?;
+    if config.setup == Setup::Search {
+        let turned = DAffine3::from_mat3(config.target.up.to_z());
+        target.place(&turned);
+        let standing = target.placed()?;
+        let found = clock.time("setup", || pipeline::setup(&initial_mesh, &standing, ctx))?;
+        target.place(&(found * turned));
+    }
+    let target_mesh = target.placed()?;
+
+    let tools: Vec<Tool> = config.cutters.iter().chain(&config.nozzles).cloned().collect();
+    let frame = inputs::frame([&initial_mesh, &target_mesh], config.resolution_mm, &tools)?;
+    let (initial_solid, target_solid) = clock.time("voxelise", || -> Result<_, Failure> {
+        Ok((
+            inputs::solid(&initial, &initial_mesh, &frame, ctx)?,
+            inputs::solid(&target, &target_mesh, &frame, ctx)?,
+        ))
+    })?;
+    let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&config.nozzles));
+    rules.holding = config.rules.holding;
+    rules.base = config.rules.base;
+    rules.tolerance_mm = config.rules.tolerance_mm.unwrap_or(rules.tolerance_mm);
+    rules.grip_mm = config.rules.grip_mm.unwrap_or(rules.grip_mm);
+    let job = Job {
+        frame,
+        initial: initial_solid,
+        target: target_solid,
+        initial_mesh,
+        target_mesh,
+        machine: config.machine.clone(),
+        cutters: config.cutters.clone(),
+        nozzles: config.nozzles.clone(),
+        rules,
+    };
+    Ok((job, Inputs { initial: initial.record, target: target.record }))
+}
+
+fn write(
+    destination: &Destination,
+    file: &PlanFile,
+    job: &Job,
+    verdict: &Verdict,
+    program: Option<&str>,
+    ctx: &Ctx,
+) -> Result<(), Failure> {
+    let plan = &verdict.plan;
+    let page = report::page(file, job, plan, &report::rule_lines(verdict))
+        .map_err(|e| Failure::Io(format!("the report cannot be made ({e:#})")))?;
+    let draft = destination.begin()?;
+    write_states(&draft, job, plan, ctx)?;
+    draft.write(output::REPORT, |out| out.write_all(page.as_bytes()))?;
+    if let Some(text) = program {
+        draft.write(output::PROGRAM, |out| out.write_all(text.as_bytes()))?;
+    }
+    draft.write(output::PLAN, |out| out.write_all(&file.to_json()))?;
+    ctx.check()?;
+    draft.publish()
+}
+
+/// The workpiece after each step, and what was reused, removed and added in all.
+fn write_states(
+    draft: &output::Draft,
+    job: &Job,
+    plan: &Plan,
+    ctx: &Ctx,
+) -> Result<(), Failure> {
+    ctx.begin("writing states", plan.steps.len() as u64 + 3);
+    let mesh = |name: &str, grid: &BitGrid| -> Result<(), Failure> {
+        ctx.check()?;
+        let surface = surface(grid, &job.frame)
+            .map_err(|e| Failure::Io(format!("the surface of {name} cannot be made ({e})")))?;
+        draft.write(&format!("{}/{name}.stl", output::STATES), |out| write_stl(&surface, out))?;
+        ctx.advance(1);
+        Ok(())
+    };
+    let mut state = job.initial.clone();
+    for (i, step) in plan.steps.iter().enumerate() {
+        let kind = match step.kind {
+            StepKind::Subtractive => {
+                state.subtract(&step.region);
+                "subtractive"
+            }
+            StepKind::Additive => {
+                state.union_with(&step.region);
+                "additive"
+            }
+        };
+        mesh(&format!("{:02}-{kind}", i + 1), &state)?;
+    }
+    let end = end_state(job, plan);
+    for (name, grid) in [("reused", &end.reused), ("removed", &end.removed), ("added", &end.added)] {
+        mesh(name, grid)?;
+    }
+    ctx.end();
+    Ok(())
+}
+
+/// SHA-256 as lower-case hexadecimal.
+pub fn digest(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// Largest resident memory of this process so far, MiB; none where the system does not tell.
+fn peak_memory_mib() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
+    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some((kib / 1024.0 * 10.0).round() / 10.0)
+}
+
+/// The thinnest layer of the nozzles used, mm: how deep any of them may ride into its own layer.
+fn layer_mm(nozzles: &[Tool]) -> f64 {
+    nozzles.iter().map(|t| t.process.layer_mm).fold(f64::INFINITY, f64::min)
+}

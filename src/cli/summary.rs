@@ -1,0 +1,77 @@
+//! The summary on standard output: a table for people, or one JSON object.
+
+use super::args::OutputArgs;
+use super::exit::Failure;
+use super::print;
+use hmplan::plan::PlanFile;
+use hmplan::report::RuleLine;
+use std::fmt::Write as _;
+
+/// Prints the summary in the form the flags ask for; nothing with -q.
+pub fn show(
+    file: &PlanFile,
+    rules: &[RuleLine],
+    location: Option<&str>,
+    output: &OutputArgs,
+) -> Result<(), Failure> {
+    if output.json {
+        let text = serde_json::to_string(&file.summary).map_err(|e| Failure::Io(e.to_string()))?;
+        print(format!("{text}\n").as_bytes())?;
+    } else if !output.quiet {
+        print(table(file, rules, location).as_bytes())?;
+    }
+    Ok(())
+}
+
+/// The reused volume first, then what went wrong, then the rest.
+fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String {
+    let s = &file.summary;
+    let mut out = String::new();
+    let mut row = |name: &str, value: String| {
+        // Writing into a String cannot fail.
+        let _ = writeln!(out, "{name:<10} {value}");
+    };
+    row(
+        "reused",
+        format!(
+            "{} = {:.1} % of the target ({:.1} % is common to both parts)",
+            volume(s.reused_mm3),
+            100.0 * s.reuse_final,
+            100.0 * s.reuse_ideal
+        ),
+    );
+    for rule in rules.iter().filter(|r| !r.passed) {
+        row("FAILED", format!("{}: {}", rule.rule, rule.figure));
+    }
+    if s.residual_mm3 > 0.0 {
+        let place = location.map_or(String::new(), |l| format!(", most of it at the {l}"));
+        row("RESIDUAL", format!("{} that no step reaches{place}", volume(s.residual_mm3)));
+    }
+    if s.verified {
+        row("verified", format!("all {} rules hold", rules.len()));
+    }
+    row("removed", format!("{} in {} blocks", volume(s.removed_mm3), s.blocks_sm));
+    row("added", format!("{} in {} blocks", volume(s.added_mm3), s.blocks_am));
+    row(
+        "steps",
+        format!("{}, {} changes of process, {} holdings", file.steps.len(), s.switches, s.holdings),
+    );
+    row("skin", format!("{} left for finishing", volume(s.skin_mm3)));
+    match &file.program {
+        Some(p) => row("program", format!("{}, {} lines", p.path, p.lines)),
+        None => row("program", "none".into()),
+    }
+    let [x, y, z] = file.grid.dims;
+    row("grid", format!("{x} × {y} × {z} voxels of {} mm", file.grid.pitch));
+    if let Some(total) = s.seconds.total {
+        row("time", format!("{total:.1} s"));
+    }
+    for note in &s.notes {
+        row("note", note.clone());
+    }
+    out
+}
+
+fn volume(mm3: f64) -> String {
+    if mm3.abs() >= 100.0 { format!("{:.2} cm³", mm3 / 1000.0) } else { format!("{mm3:.1} mm³") }
+}

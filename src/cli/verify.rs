@@ -1,0 +1,262 @@
+//! `hmplan verify DIR`: everything again from the files. The inputs are read by their digests and
+//! voxelised on the recorded grid, the steps replayed and judged, the program checked, and every
+//! figure that can be recomputed is compared with what the file claims.
+
+use super::args::OutputArgs;
+use super::exit::{Exit, Failure};
+use super::inputs::{self, Part};
+use super::output::{PLAN, PROGRAM};
+use super::pipeline;
+use super::plan::{context, digest, outcome};
+use super::{print, summary};
+use hmplan::base::Ctx;
+use hmplan::machine::ToolKind;
+use hmplan::plan::{Input, Job, Plan, PlanFile, Seconds, StepRecord, Summary};
+use hmplan::report::{self, PlannerFigures, RuleLine};
+use hmplan::verify::verify;
+use std::fmt::Write as _;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+/// Bytes of the largest plan file or program read; ten times what the largest plans need.
+const LARGEST_FILE: u64 = 1 << 30;
+
+pub fn run(dir: &Path, output: &OutputArgs) -> Result<Exit, Failure> {
+    let path = dir.join(PLAN);
+    let bytes = read_bounded(&path)?;
+    let in_file = |e: hmplan::plan::FileError| {
+        let message = format!("{}: {e}", path.display());
+        if e.is_alteration() { Failure::Altered(message) } else { Failure::Input(message) }
+    };
+    let file = PlanFile::from_json(&bytes).map_err(in_file)?;
+    drop(bytes);
+    let program = read_program(dir, &file)?;
+    let ctx = context(output, None, file.seed)?;
+    let plan = file.plan().map_err(in_file)?;
+    let job = rebuild(dir, &file, &ctx)?;
+
+    let verdict = verify(&job, plan, &ctx)?;
+    let mut rules = report::rule_lines(&verdict);
+    if let Some(text) = &program {
+        rules.extend(pipeline::check_program(&job, &verdict, text, &ctx)?);
+    }
+    let again =
+        report::summarise(&job, &verdict, claimed(&file.summary), Seconds::default());
+    rules.push(file_rule(&file, &again, &verdict.plan, &job));
+    let location = report::residual_location(&job, &verdict);
+    report(file, again, &rules, location.as_deref(), output)
+}
+
+/// Prints the rules, or the recomputed summary as JSON, and gives the exit code.
+fn report(
+    mut file: PlanFile,
+    mut again: Summary,
+    rules: &[RuleLine],
+    location: Option<&str>,
+    output: &OutputArgs,
+) -> Result<Exit, Failure> {
+    again.failed_rules = rules.iter().filter(|r| !r.passed).map(|r| r.rule.clone()).collect();
+    again.verified = again.failed_rules.is_empty();
+    let exit = outcome(&again);
+    if !output.json && !output.quiet {
+        let mut text = String::new();
+        for r in rules {
+            let word = if r.passed { "ok" } else { "FAILED" };
+            // Writing into a String cannot fail.
+            let _ = writeln!(text, "{word:<7} {:<24} {}", r.rule, r.figure);
+        }
+        print(text.as_bytes())?;
+    }
+    file.summary = again;
+    summary::show(&file, rules, location, output)?;
+    Ok(exit)
+}
+
+/// Reads a file whole, unless it is larger than any this program writes.
+fn read_bounded(path: &Path) -> Result<Vec<u8>, Failure> {
+    let unreadable =
+        |e: std::io::Error| Failure::Input(format!("{} cannot be read ({e})", path.display()));
+    let file = std::fs::File::open(path).map_err(unreadable)?;
+    let mut bytes = Vec::new();
+    file.take(LARGEST_FILE + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+    if bytes.len() as u64 > LARGEST_FILE {
+        return Err(Failure::Input(format!(
+            "{} is larger than {LARGEST_FILE} bytes, which no plan is",
+            path.display()
+        )));
+    }
+    Ok(bytes)
+}
+
+/// The program the plan names, its digest checked. A program that no plan names is an alteration
+/// as well, since nobody vouches for it.
+fn read_program(dir: &Path, file: &PlanFile) -> Result<Option<String>, Failure> {
+    let path = dir.join(PROGRAM);
+    let Some(record) = &file.program else {
+        return if path.exists() {
+            let path = path.display();
+            Err(Failure::Altered(format!("{path} is there, but the plan records no program")))
+        } else {
+            Ok(None)
+        };
+    };
+    if record.path != PROGRAM {
+        return Err(Failure::Altered(format!(
+            "the plan names the program '{}', not {PROGRAM}",
+            record.path
+        )));
+    }
+    let bytes = read_bounded(&path)?;
+    if digest(&bytes) != record.sha256 {
+        return Err(Failure::Altered(format!(
+            "{} was altered: its SHA-256 is not the one in {PLAN}; plan again",
+            path.display()
+        )));
+    }
+    String::from_utf8(bytes)
+        .map(Some)
+        .map_err(|_| Failure::Altered(format!("{} is no text", path.display())))
+}
+
+/// The job the plan was made for, from its inputs.
+fn rebuild(dir: &Path, file: &PlanFile, ctx: &Ctx) -> Result<Job, Failure> {
+    let read = |input: &Input| -> Result<Part, Failure> {
+        let recorded = Path::new(&input.path);
+        let mut part = inputs::read(recorded, &locate(dir, recorded), input.mm_per_unit)?;
+        if part.record.sha256 != input.sha256 {
+            return Err(Failure::Altered(format!(
+                "{} is not the part the plan was made for: its SHA-256 differs from the one in \
+                 {PLAN}; restore the file or plan again",
+                input.path
+            )));
+        }
+        part.record.transform = input.transform;
+        Ok(part)
+    };
+    let (initial, target) = (read(&file.inputs.initial)?, read(&file.inputs.target)?);
+    for (now, recorded) in
+        [(&initial.record, &file.inputs.initial), (&target.record, &file.inputs.target)]
+    {
+        if now != recorded {
+            return Err(Failure::Altered(format!(
+                "{}: what {PLAN} says of it (triangles, volume, warnings) is not what it has",
+                recorded.path
+            )));
+        }
+    }
+    let (initial_mesh, target_mesh) = (initial.placed()?, target.placed()?);
+    let pitch = Some(file.grid.pitch);
+    // Made again rather than taken: a grid that misses a part, or is far larger, is no grid of
+    // this plan.
+    let frame = inputs::frame([&initial_mesh, &target_mesh], pitch, &file.tools)?;
+    if frame != file.grid {
+        return Err(Failure::Altered(format!(
+            "the grid in {PLAN} is not the one its inputs and pitch make"
+        )));
+    }
+    let of_kind =
+        |kind| file.tools.iter().filter(|t| t.kind == kind).cloned().collect::<Vec<_>>();
+    Ok(Job {
+        frame,
+        initial: inputs::solid(&initial, &initial_mesh, &frame, ctx)?,
+        target: inputs::solid(&target, &target_mesh, &frame, ctx)?,
+        initial_mesh,
+        target_mesh,
+        machine: file.machine.clone(),
+        cutters: of_kind(ToolKind::Subtractive),
+        nozzles: of_kind(ToolKind::Additive),
+        rules: file.rules,
+    })
+}
+
+/// A recorded path against the current directory, else against the plan's.
+fn locate(dir: &Path, recorded: &Path) -> PathBuf {
+    let beside = dir.join(recorded);
+    if !recorded.exists() && beside.exists() { beside } else { recorded.to_path_buf() }
+}
+
+/// The figures that only the planner knows, taken from the file.
+fn claimed(s: &Summary) -> PlannerFigures {
+    PlannerFigures {
+        planner: s.planner.clone(),
+        reuse_initial: s.reuse_initial,
+        base_height_ratio: s.base_height_ratio,
+        inaccessible_sm: s.inaccessible_sm,
+        inaccessible_am: s.inaccessible_am,
+        planes_global: s.planes_global,
+        planes_local: s.planes_local,
+        notes: s.notes.clone(),
+    }
+}
+
+/// Rule `file`: every figure of the file that the steps define is the one they define.
+fn file_rule(file: &PlanFile, again: &Summary, plan: &Plan, job: &Job) -> RuleLine {
+    let mut wrong = Vec::new();
+    for (record, step) in file.steps.iter().zip(&plan.steps) {
+        let voxels = step.region.count();
+        compare_step(record, voxels, voxels as f64 * job.frame.voxel_volume(), &mut wrong);
+    }
+    let mut expected = again.clone();
+    // Measured, not defined by the steps.
+    expected.seconds = file.summary.seconds.clone();
+    expected.peak_memory_mib = file.summary.peak_memory_mib;
+    wrong.extend(differences(&expected, &file.summary));
+    let figure = match wrong.first() {
+        None => format!("{} steps and the summary agree with their regions", file.steps.len()),
+        Some(first) => format!("{first}{}", match wrong.len() - 1 {
+            0 => String::new(),
+            n => format!(" (and {n} more)"),
+        }),
+    };
+    RuleLine { rule: "file".into(), passed: wrong.is_empty(), figure }
+}
+
+fn compare_step(record: &StepRecord, voxels: usize, volume: f64, wrong: &mut Vec<String>) {
+    if record.voxels != voxels {
+        wrong.push(format!("step {}: {} voxels, not {}", record.index, voxels, record.voxels));
+    } else if !close(record.volume_mm3, volume) {
+        wrong.push(format!("step {}: {volume} mm³, not {}", record.index, record.volume_mm3));
+    }
+}
+
+/// Names of the summary's fields that differ, with both values.
+fn differences(expected: &Summary, found: &Summary) -> Vec<String> {
+    let object = |s: &Summary| match serde_json::to_value(s) {
+        Ok(serde_json::Value::Object(map)) => map,
+        _ => serde_json::Map::new(),
+    };
+    let found = object(found);
+    object(expected)
+        .iter()
+        .filter(|(name, value)| {
+            !found.get(*name).is_some_and(|f| match (value.as_f64(), f.as_f64()) {
+                (Some(a), Some(b)) => close(a, b),
+                _ => *value == f,
+            })
+        })
+        .map(|(name, value)| {
+            let claimed = found.get(name).map_or("nothing".into(), ToString::to_string);
+            format!("summary.{name}: the file claims {claimed}, the steps give {value}")
+        })
+        .collect()
+}
+
+/// Equal but for the last digits, which another machine's arithmetic may round differently.
+fn close(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_changed_figure_is_named() {
+        let a = Summary { reused_mm3: 10.0, ..Summary::default() };
+        assert!(differences(&a, &a).is_empty());
+        let b = Summary { reused_mm3: 10.1, verified: true, ..a.clone() };
+        let found = differences(&a, &b);
+        assert_eq!(found.len(), 2);
+        assert!(found.iter().any(|d| d.starts_with("summary.reused_mm3")), "{found:?}");
+    }
+}

@@ -1,0 +1,154 @@
+use super::TriMesh;
+use crate::base::{Aabb, DVec3};
+
+/// Finds the triangle nearest to a point among those within a search distance.
+///
+/// Triangles are listed in the cells of a uniform grid that their boxes touch, so a query looks at
+/// a handful of cells. Built for queries close to the surface.
+pub struct NearestTriangle<'a> {
+    mesh: &'a TriMesh,
+    cell: f64,
+    origin: DVec3,
+    dims: [usize; 3],
+    /// CSR lists of triangles per cell.
+    starts: Vec<u32>,
+    triangles: Vec<u32>,
+}
+
+/// A point of the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    pub triangle: usize,
+    pub point: DVec3,
+    /// Unit normal of the triangle, outward on an oriented mesh.
+    pub normal: DVec3,
+    pub distance: f64,
+}
+
+/// Cells per axis; more only costs memory once cells are smaller than triangles.
+const MOST_CELLS: f64 = 160.0;
+
+impl<'a> NearestTriangle<'a> {
+    /// `reach` (mm) is the largest distance at which a triangle is looked for.
+    pub fn new(mesh: &'a TriMesh, reach: f64) -> Self {
+        let bounds = mesh.bounds();
+        let bounds = if bounds.is_empty() { Aabb::of([DVec3::ZERO]) } else { bounds };
+        let cell = reach.max(bounds.size().max_element() / MOST_CELLS).max(1e-9);
+        let dims = (bounds.size() / cell).floor().to_array().map(|n| n as usize + 1);
+        let mut index = NearestTriangle {
+            mesh,
+            cell,
+            origin: bounds.min,
+            dims,
+            starts: vec![0; dims.iter().product::<usize>() + 1],
+            triangles: Vec::new(),
+        };
+        let cells_of = |index: &Self, t: usize| {
+            let b = Aabb::of(mesh.corners(t));
+            (index.cell_of(b.min), index.cell_of(b.max))
+        };
+        for t in 0..mesh.triangles().len() {
+            let (lo, hi) = cells_of(&index, t);
+            index.each_cell(lo, hi).for_each(|c| index.starts[c + 1] += 1);
+        }
+        for c in 1..index.starts.len() {
+            index.starts[c] += index.starts[c - 1];
+        }
+        index.triangles = vec![0; index.starts[index.starts.len() - 1] as usize];
+        let mut next = index.starts.clone();
+        for t in 0..mesh.triangles().len() {
+            let (lo, hi) = cells_of(&index, t);
+            for c in index.each_cell(lo, hi) {
+                index.triangles[next[c] as usize] = t as u32;
+                next[c] += 1;
+            }
+        }
+        index
+    }
+
+    fn cell_of(&self, p: DVec3) -> [usize; 3] {
+        let g = ((p - self.origin) / self.cell).to_array();
+        std::array::from_fn(|a| (g[a].max(0.0) as usize).min(self.dims[a] - 1))
+    }
+
+    fn each_cell(&self, lo: [usize; 3], hi: [usize; 3]) -> impl Iterator<Item = usize> + use<> {
+        let [nx, ny, _] = self.dims;
+        (lo[2]..=hi[2]).flat_map(move |z| {
+            (lo[1]..=hi[1])
+                .flat_map(move |y| (lo[0]..=hi[0]).map(move |x| x + nx * (y + ny * z)))
+        })
+    }
+
+    /// The nearest surface point within one cell (at least `reach`) of `p`; of equals the first.
+    pub fn query(&self, p: DVec3) -> Option<SurfacePoint> {
+        let lo = self.cell_of(p - DVec3::splat(self.cell));
+        let hi = self.cell_of(p + DVec3::splat(self.cell));
+        let mut best: Option<SurfacePoint> = None;
+        for c in self.each_cell(lo, hi) {
+            for &t in &self.triangles[self.starts[c] as usize..self.starts[c + 1] as usize] {
+                let t = t as usize;
+                let Some(normal) = self.mesh.area_normal(t).try_normalize() else { continue };
+                let point = closest_on_triangle(p, self.mesh.corners(t));
+                let distance = point.distance(p);
+                let better = best.is_none_or(|b| {
+                    distance < b.distance || (distance == b.distance && t < b.triangle)
+                });
+                if better && distance <= self.cell {
+                    best = Some(SurfacePoint { triangle: t, point, normal, distance });
+                }
+            }
+        }
+        best
+    }
+}
+
+/// Closest point of a triangle, by the region of the barycentric plane the point falls into.
+fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
+    let n = (b - a).cross(c - a);
+    let inside = |u: DVec3, v: DVec3| (v - u).cross(p - u).dot(n) >= 0.0;
+    if inside(a, b) && inside(b, c) && inside(c, a) && n.length_squared() > 0.0 {
+        return p - n * ((p - a).dot(n) / n.length_squared());
+    }
+    let on = |u: DVec3, v: DVec3| {
+        let e = v - u;
+        let t = if e.length_squared() > 0.0 { (p - u).dot(e) / e.length_squared() } else { 0.0 };
+        u + e * t.clamp(0.0, 1.0)
+    };
+    [on(a, b), on(b, c), on(c, a)]
+        .into_iter()
+        .min_by(|x, y| x.distance_squared(p).total_cmp(&y.distance_squared(p)))
+        .unwrap_or(a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faces_edges_and_corners_of_a_box() {
+        let m = TriMesh::cuboid(DVec3::ZERO, DVec3::splat(10.0));
+        let index = NearestTriangle::new(&m, 2.0);
+        let q = |x, y, z| index.query(DVec3::new(x, y, z));
+        let top = q(5.0, 4.0, 11.0).unwrap();
+        assert!((top.normal - DVec3::Z).length() < 1e-12 && (top.distance - 1.0).abs() < 1e-12);
+        let corner = q(11.0, 11.0, 11.0).unwrap();
+        assert!((corner.point - DVec3::splat(10.0)).length() < 1e-12);
+        assert!(q(5.0, 5.0, 5.0).is_none());
+    }
+
+    #[test]
+    fn agrees_with_a_full_search() {
+        let m = TriMesh::cuboid(DVec3::ZERO, DVec3::new(3.0, 2.0, 5.0));
+        let index = NearestTriangle::new(&m, 1.0);
+        for i in 0..1000 {
+            let f = |k: usize, n: usize| (i * k % n) as f64 / n as f64;
+            let p = DVec3::new(f(37, 101) * 4.0 - 0.5, f(53, 103) * 3.0 - 0.5, f(71, 107) * 6.0 - 0.5);
+            let full = (0..m.triangles().len())
+                .map(|t| closest_on_triangle(p, m.corners(t)).distance(p))
+                .fold(f64::INFINITY, f64::min);
+            if full <= 1.0 {
+                assert!((index.query(p).unwrap().distance - full).abs() < 1e-12);
+            }
+        }
+    }
+}

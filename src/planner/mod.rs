@@ -1,0 +1,27 @@
+//! The planners, one folder a paper, and the setup search before them.
+//!
+//! Guarantees: every planner returns a [`crate::plan::Plan`] whose steps it believes valid and
+//! nothing it could not reach is hidden: the verifier measures what is missing. Not guaranteed:
+//! validity itself; only [`crate::verify`] says so.
+
+pub mod reman;
+
+use crate::base::Cancelled;
+
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum PlanError {
+    #[error("interrupted")]
+    Cancelled,
+    #[error("the {which} part is empty on the grid: it has no voxel at pitch {pitch_mm} mm; set a finer --resolution or check the units")]
+    EmptyPart { which: &'static str, pitch_mm: f64 },
+    #[error("no {kind} tool: the machine has none and none was named")]
+    NoTool { kind: &'static str },
+    #[error("the set cover of the clipping planes failed: {0}")]
+    Cover(#[from] crate::search::CoverError),
+}
+
+impl From<Cancelled> for PlanError {
+    fn from(_: Cancelled) -> Self {
+        PlanError::Cancelled
+    }
+}

@@ -1,0 +1,112 @@
+use super::draw::draw_step;
+use super::summary::RuleLine;
+use crate::plan::{Input, Job, Plan, PlanFile, StepKind};
+use minijinja::value::Serde;
+use minijinja::{AutoEscape, Environment, Value, context};
+
+const TEMPLATE: &str = include_str!("page.html");
+
+/// The report of a plan as one HTML page. `plan` is the plan that `file` records.
+///
+/// # Errors
+/// Only those of the template itself.
+pub fn page(
+    file: &PlanFile,
+    job: &Job,
+    plan: &Plan,
+    rules: &[RuleLine],
+) -> Result<String, minijinja::Error> {
+    let mut env = Environment::new();
+    env.set_auto_escape_callback(|_| AutoEscape::Html);
+    env.add_filter("mm3", |v: f64| mm3(v));
+    env.add_filter("percent", |v: f64| format!("{:.1} %", 100.0 * v));
+    env.add_filter("figure", |v: f64| format!("{v:.3}"));
+    env.add_template("page", TEMPLATE)?;
+    let s = &file.summary;
+    env.get_template("page")?.render(context! {
+        version => &file.hmplan_version,
+        inputs => [input("Initial", &file.inputs.initial), input("Target", &file.inputs.target)],
+        grid => context! {
+            pitch => file.grid.pitch,
+            dims => file.grid.dims,
+            voxels => thousands(file.grid.voxel_count()),
+        },
+        machine => &file.machine.name,
+        tools => file.tools.iter().map(|t| t.name.clone()).collect::<Vec<_>>(),
+        summary => Value::from(Serde(s)),
+        rules => Value::from(Serde(rules)),
+        steps => steps(file, job, plan),
+        program => Value::from(Serde(&file.program)),
+    })
+}
+
+fn input(role: &str, input: &Input) -> Value {
+    context! {
+        role,
+        path => &input.path,
+        triangles => thousands(input.triangles),
+        watertight => input.watertight,
+        volume => input.volume_mm3,
+        warnings => &input.warnings,
+        sha256 => &input.sha256,
+    }
+}
+
+fn steps(file: &PlanFile, job: &Job, plan: &Plan) -> Vec<Value> {
+    let mut state = job.initial.clone();
+    let mut rows = Vec::with_capacity(plan.steps.len());
+    for (step, record) in plan.steps.iter().zip(&file.steps) {
+        if step.kind == StepKind::Subtractive {
+            state.subtract(&step.region);
+        }
+        let drawing = draw_step(&job.frame, &state, &step.region, step.kind, step.direction);
+        if step.kind == StepKind::Additive {
+            state.union_with(&step.region);
+        }
+        let d = step.direction.vec();
+        rows.push(context! {
+            index => record.index,
+            kind => Value::from(Serde(step.kind)),
+            tool => &step.tool,
+            direction => format!("{:.3}, {:.3}, {:.3}", d.x + 0.0, d.y + 0.0, d.z + 0.0),
+            holding => step.holding + 1,
+            block => step.block + 1,
+            volume => record.volume_mm3,
+            voxels => thousands(record.voxels),
+            minutes => record.time_s.map(|t| format!("{:.1}", t / 60.0)),
+            plane => step.origin.plane.is_some(),
+            view => drawing.view,
+            svg => Value::from_safe_string(drawing.svg),
+        });
+    }
+    rows
+}
+
+/// A volume as people read it: cm³ above a tenth of one, mm³ below.
+fn mm3(v: f64) -> String {
+    if v.abs() >= 100.0 { format!("{:.2} cm³", v / 1000.0) } else { format!("{v:.1} mm³") }
+}
+
+fn thousands(n: usize) -> String {
+    let digits = n.to_string();
+    let mut out = String::new();
+    for (i, c) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push('\u{202f}');
+        }
+        out.push(c);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_read_well() {
+        assert_eq!(thousands(1234567), "1\u{202f}234\u{202f}567");
+        assert_eq!(thousands(12), "12");
+        assert_eq!((mm3(12.34), mm3(5432.1)), ("12.3 mm³".into(), "5.43 cm³".into()));
+    }
+}

@@ -1,0 +1,8 @@
+//! Domain-free search engines, tested on toy problems with known optima.
+//!
+//! Guarantees: [`set_cover`] returns a proven optimum of the weighted set-cover problem. Not
+//! guaranteed: anything about ties beyond their being broken the same way every time.
+
+mod cover;
+
+pub use cover::{CoverError, WeightedSet, set_cover};
