@@ -37,26 +37,37 @@ pub fn run(dir: &Path, output: &OutputArgs) -> Result<Exit, Failure> {
 
     let verdict = verify(&job, plan, &ctx)?;
     let mut rules = report::rule_lines(&verdict);
-    if let Some(text) = &program {
-        rules.extend(pipeline::check_program(&job, &verdict, text, &ctx)?);
+    match &program {
+        Some(text) => rules.extend(pipeline::check_program(&job, &verdict.plan, text, &ctx)?),
+        None => rules.extend(withheld(&file)),
     }
-    let again =
-        report::summarise(&job, &verdict, claimed(&file.summary), Seconds::default());
+    let mut again = report::summarise(&job, &verdict, claimed(&file.summary), Seconds::default());
+    again.take_rules(rules.iter().map(|r| (r.rule.as_str(), r.passed)));
     rules.push(file_rule(&file, &again, &verdict.plan, &job));
+    again.take_rules(rules.iter().map(|r| (r.rule.as_str(), r.passed)));
     let location = report::residual_location(&job, &verdict);
     report(file, again, &rules, location.as_deref(), output)
+}
+
+/// The rules for which a plan says its program was kept back.
+fn withheld(file: &PlanFile) -> Vec<RuleLine> {
+    let of_program = |r: &&String| r.starts_with("program");
+    let line = |rule: &String| RuleLine {
+        rule: rule.clone(),
+        passed: false,
+        figure: "no program was written for this reason".into(),
+    };
+    file.summary.failed_rules.iter().filter(of_program).map(line).collect()
 }
 
 /// Prints the rules, or the recomputed summary as JSON, and gives the exit code.
 fn report(
     mut file: PlanFile,
-    mut again: Summary,
+    again: Summary,
     rules: &[RuleLine],
     location: Option<&str>,
     output: &OutputArgs,
 ) -> Result<Exit, Failure> {
-    again.failed_rules = rules.iter().filter(|r| !r.passed).map(|r| r.rule.clone()).collect();
-    again.verified = again.failed_rules.is_empty();
     let exit = outcome(&again);
     if !output.json && !output.quiet {
         let mut text = String::new();
