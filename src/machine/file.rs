@@ -17,6 +17,10 @@ use toml::de::{DeTable, DeValue};
 /// Largest tool or machine file, bytes. A profile with a hundred tools has some 50 kB.
 pub const LARGEST_FILE: u64 = 1 << 20;
 
+/// Most tools of a machine and most sections of a tool. Real tables hold some tens; a file with
+/// tens of thousands would only make every search over them crawl.
+const MOST_ENTRIES: usize = 256;
+
 /// Why a tool or machine cannot be had.
 #[derive(Debug, thiserror::Error)]
 pub enum ProfileError {
@@ -79,6 +83,7 @@ impl Machine {
         if let Some(extruder) = &self.extruder {
             extruder.validate().map_err(|e| bad(&[Key("extruder")], e))?;
         }
+        few("tools", self.tools.len()).map_err(|e| bad(&[Key("tool")], e))?;
         for (i, tool) in self.tools.iter().enumerate() {
             let here = [Key("tool"), Index(i)];
             tool.find_bad_figure(&here)?;
@@ -167,6 +172,8 @@ impl Tool {
     fn find_bad_figure(&self, here: &[Step]) -> Result<(), BadFigure> {
         let within_tool = |steps: &[Step]| [here, steps].concat();
         check_name(&self.name).map_err(|e| bad(&within_tool(&[Step::Key("name")]), e))?;
+        few("sections", self.sections.len())
+            .map_err(|e| bad(&within_tool(&[Step::Key("section")]), e))?;
         self.validate().map_err(|e| {
             let steps = match &e {
                 InvalidTool::BadSection { section, .. } => {
@@ -178,6 +185,13 @@ impl Tool {
             bad(&within_tool(&steps), e)
         })
     }
+}
+
+fn few(what: &str, count: usize) -> Result<(), String> {
+    if count <= MOST_ENTRIES {
+        return Ok(());
+    }
+    Err(format!("{count} {what}; give at most {MOST_ENTRIES}"))
 }
 
 /// Names go into file names, reports and comments of programs.
@@ -269,8 +283,12 @@ mod tests {
             ("\"ball\"", "\"bal\"", "unknown variant `bal`, expected one of `ball`"),
             ("radius = 1.5", "radius = \"x\"", "expected f64"),
             ("radius = 1.5", "radius = nan", "NaN is not a length between"),
-            ("radius = 1.5", "radius = 1.5, z0 = 3.0", "a ball takes radius"),
-            ("r0 = 1.5, ", "", "key `r0` is missing; a frustum takes z0, r0, z1, r1"),
+            ("section = [", "section = [{ shape = \"ball\", z0 = 3.0 },", "1: key `z0` does not"),
+            (
+                "section = [",
+                "section = [{ shape = \"ball\" },",
+                "`radius` is missing; a ball takes",
+            ),
             ("z1 = 13.0", "z1 = 1.0", "z1 = 1 must lie above z0 = 1.5"),
             ("name = \"w2v-cutter\"", "name = \"\"", "must be 1 to 64 letters"),
         ] {
@@ -327,6 +345,14 @@ mod tests {
         assert!(matches!(Tool::load(&path), Err(ProfileError::NotText { .. })));
         std::fs::write(&path, vec![b'#'; LARGEST_FILE as usize + 1]).unwrap();
         assert!(matches!(Tool::load(&path), Err(ProfileError::TooLarge { .. })));
+    }
+
+    #[test]
+    fn endless_tables_are_refused() {
+        let platform = "[[section]]\nshape = \"platform\"\nz = 0.0\n";
+        let text = format!("name = \"t\"\nkind = \"additive\"\n{}", platform.repeat(257));
+        let said = Tool::parse("my.toml", &text).unwrap_err().to_string();
+        assert!(said.contains("section: 257 sections; give at most 256"), "{said}");
     }
 
     #[test]

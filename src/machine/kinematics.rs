@@ -249,7 +249,7 @@ mod tests {
     use proptest::prelude::*;
 
     /// All three arrangements, and one whose axes are neither square nor through the centre.
-    pub(crate) fn chains() -> Vec<Machine> {
+    fn chains() -> Vec<Machine> {
         let mut machines: Vec<Machine> =
             Machine::builtin_names().iter().map(|n| Machine::builtin(n).unwrap()).collect();
         let mut head_head = machines[0].clone();
@@ -365,14 +365,14 @@ mod tests {
 
     #[test]
     fn poses_computed_by_hand() {
-        // mx220: pedestal 30, tilting axis 45 above the table. Upright nothing turns.
-        assert_pose(pose("mx220", [0.0, 0.0, 1.0], [1.0, 2.0, 10.0]), 1.0, 2.0, 40.0, 0.0, 0.0);
-        // From −y: A = 90 turns the table by −90° about x: (x, y, z) → (x, z, −y) about z = 45.
-        // (1, 2, 10 + 30 − 45 = −5) → (1, −5, −2) → z = 45 − 2.
-        assert_pose(pose("mx220", [0.0, -1.0, 0.0], [1.0, 2.0, 10.0]), 1.0, -5.0, 43.0, 90.0, 0.0);
+        // mx220: pedestal 45, tilting axis 60 above the table. Upright nothing turns.
+        assert_pose(pose("mx220", [0.0, 0.0, 1.0], [1.0, 2.0, 10.0]), 1.0, 2.0, 55.0, 0.0, 0.0);
+        // From −y: A = 90 turns the table by −90° about x: (x, y, z) → (x, z, −y) about z = 60.
+        // (1, 2, 10 + 45 − 60 = −5) → (1, −5, −2) → z = 60 − 2.
+        assert_pose(pose("mx220", [0.0, -1.0, 0.0], [1.0, 2.0, 10.0]), 1.0, -5.0, 58.0, 90.0, 0.0);
         // From +x: of A ±90 the larger; C = 90 turns the table by −90° about z: (x, y) → (y, −x):
-        // (1, 2, 40) → (2, −1, 40), then as above (2, −5, +1).
-        assert_pose(pose("mx220", [1.0, 0.0, 0.0], [1.0, 2.0, 10.0]), 2.0, -5.0, 46.0, 90.0, 90.0);
+        // (1, 2) → (2, −1), then as above (2, −1, −5) → (2, −5, 1).
+        assert_pose(pose("mx220", [1.0, 0.0, 0.0], [1.0, 2.0, 10.0]), 2.0, -5.0, 61.0, 90.0, 90.0);
         // generic: pedestal 90, tilting axis 50 above the table. (0, 0, 110 − 50 = 60) → (0, 60, 0).
         let found = pose("generic-5axis", [0.0, -1.0, 0.0], [0.0, 0.0, 20.0]);
         assert_pose(found, 0.0, 60.0, 50.0, 90.0, 0.0);

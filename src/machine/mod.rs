@@ -7,7 +7,25 @@
 //!
 //! Guarantees: a loaded [`Tool`] or [`Machine`] has finite figures in range. Not guaranteed: that
 //! a direction or a position can be reached; ask the machine's kinematic chain.
+//!
+//! ```
+//! use hmplan::base::{DVec3, Direction};
+//! use hmplan::machine::{Holding, Machine};
+//!
+//! let machine = Machine::builtin(Machine::DEFAULT)?;
+//! let tool = machine.tool("ball-3x30").ok_or("no such tool")?;
+//! let placement = machine.placement(&Holding::AS_CLAMPED, DVec3::ZERO);
+//! let tips = [DVec3::new(0.0, 0.0, 20.0), DVec3::new(10.0, 0.0, 20.0)];
+//! let home = machine.kinematics.home();
+//! let rotary = machine.posture(&placement, Direction::X, home, tool, &tips)?;
+//! let axes = machine.axes(&placement, rotary, tips[0], tool);
+//! let (tip, direction) = machine.tip(&placement, axes, tool);
+//! assert!((tip - tips[0]).length() < 1e-9 && direction.dot(DVec3::X) > 1.0 - 1e-12);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
+mod check;
+mod describe;
 mod file;
 mod kinematics;
 mod orient;
@@ -20,6 +38,8 @@ mod tool;
 mod travel;
 mod workholding;
 
+pub use check::check;
+pub use describe::{describe, describe_tool};
 pub use file::{LARGEST_FILE, ProfileError};
 pub use kinematics::{AxisValues, Chain, Linear, Mount, Rotary, RotaryAngles};
 pub use orient::Unreachable;

@@ -193,3 +193,83 @@ impl Chain {
         RotaryAngles { first_deg: self.first.home_deg, second_deg: self.second.home_deg }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::machine::Machine;
+
+    fn tilted(sin_x: f64, cos_z: f64) -> Direction {
+        Direction::new(DVec3::new(sin_x, 0.0, cos_z)).unwrap()
+    }
+
+    fn upright() -> Placement {
+        Placement::turned(Direction::Z)
+    }
+
+    #[test]
+    fn both_postures_are_found_and_the_limits_leave_one() {
+        let mut machine = Machine::builtin("generic-5axis").unwrap();
+        let d = tilted(1.0, 1.0);
+        let found = machine.solutions(&upright(), d);
+        let angles: Vec<_> =
+            found.iter().map(|r| (r.first_deg.round(), r.second_deg.round())).collect();
+        assert_eq!(angles, [(45.0, 90.0), (-45.0, -90.0)]);
+        machine.kinematics.first.limits_deg = Some([-110.0, 5.0]);
+        assert_eq!(machine.solutions(&upright(), d).len(), 1);
+        machine.kinematics.first.limits_deg = Some([-5.0, 5.0]);
+        assert!(!machine.can_point(Direction::Z, d));
+        let said = machine.nearest(&upright(), d, Default::default()).unwrap_err().to_string();
+        assert!(said.contains("no A and C") && said.contains("0.707107"), "{said}");
+    }
+
+    #[test]
+    fn along_the_turning_axis_the_table_stays_where_it_is() {
+        for name in Machine::builtin_names() {
+            let machine = Machine::builtin(name).unwrap();
+            let previous = RotaryAngles { first_deg: 20.0, second_deg: 123.0 };
+            let found = machine.nearest(&upright(), Direction::Z, previous).unwrap();
+            assert_eq!(found, RotaryAngles { first_deg: 0.0, second_deg: 123.0 });
+            let home = machine.solutions(&upright(), Direction::Z);
+            assert_eq!(home, [machine.kinematics.home()]);
+        }
+    }
+
+    #[test]
+    fn the_nearest_posture_counts_whole_turns_and_keeps_to_the_limits() {
+        let mut machine = Machine::builtin("generic-5axis").unwrap();
+        let d = tilted(1.0, 1.0);
+        let previous = RotaryAngles { first_deg: 40.0, second_deg: 700.0 };
+        let near = |m: &Machine| {
+            let found = m.nearest(&upright(), d, previous).unwrap();
+            (found.first_deg.round(), found.second_deg.round())
+        };
+        // 90° + 2 turns is 110° away; the other posture −90° + 2 turns = 630° only 70°, but A
+        // then needs 85° at half the rate: 85/3600 > 110/7200 minutes.
+        assert_eq!(near(&machine), (45.0, 810.0));
+        machine.kinematics.first.rapid_deg_min = 36_000.0;
+        assert_eq!(near(&machine), (-45.0, 630.0));
+        machine.kinematics.second.limits_deg = Some([0.0, 360.0]);
+        assert_eq!(near(&machine), (-45.0, 270.0));
+        machine.kinematics.second.limits_deg = Some([-100.0, 100.0]);
+        assert_eq!(near(&machine), (45.0, 90.0));
+    }
+
+    #[test]
+    fn what_can_be_pointed_at_is_the_cap_of_the_tilting_axis() {
+        let machine = Machine::builtin("generic-5axis").unwrap();
+        for up in [Direction::Z, Direction::NEG_Y] {
+            for d in crate::base::fibonacci_sphere(2000) {
+                let tilt = up.dot(d.vec()).clamp(-1.0, 1.0).acos().to_degrees();
+                assert_eq!(machine.can_point(up, d), tilt <= 110.0, "{tilt}");
+            }
+        }
+        // At the limit itself the rounding of the inverse does not decide.
+        for turn in 0..360 {
+            let (s, c) = f64::from(turn).to_radians().sin_cos();
+            let (sin, cos) = 110f64.to_radians().sin_cos();
+            let d = Direction::new(DVec3::new(s * sin, c * sin, cos)).unwrap();
+            assert!(machine.can_point(Direction::Z, d), "{turn}");
+        }
+    }
+}

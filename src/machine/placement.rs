@@ -34,3 +34,26 @@ impl Machine {
         Placement { machine_from_work: DAffine3::from_mat3_translation(rotation, translation) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_contact_stands_one_pedestal_above_the_tables_centre() {
+        let mut machine = Machine::builtin("mx220").unwrap();
+        machine.kinematics.table_center_mm = [1.0, 2.0, 3.0];
+        for up in [Direction::Z, Direction::NEG_Z, Direction::X, Direction::NEG_Y] {
+            let holding = Holding { up, height_mm: -4.0 };
+            let contact = DVec3::new(7.0, -8.0, 9.0);
+            let map = machine.placement(&holding, contact).machine_from_work;
+            // The contact is higher over the base plane than the point it stands on.
+            let above = DVec3::Z * holding.height(contact);
+            let stands = DVec3::new(1.0, 2.0, 3.0 + machine.workholding.pedestal_mm);
+            assert!((map.transform_point3(contact) - stands - above).length() < 1e-12);
+            assert_eq!(map.transform_vector3(up.vec()), DVec3::Z);
+            assert_eq!(map.matrix3.determinant(), 1.0, "no reflection");
+        }
+        assert_eq!(Placement::turned(Direction::Z).machine_from_work, DAffine3::IDENTITY);
+    }
+}

@@ -49,7 +49,7 @@ impl Machine {
 
     /// A built-in machine, or one from a file when no built-in one has this name.
     pub fn named_or_load(name_or_path: &str) -> Result<Machine, ProfileError> {
-        named_or_load(name_or_path, Machine::builtin, |path| Machine::load(path))
+        named_or_load(name_or_path, Machine::builtin, Machine::load)
     }
 }
 
@@ -85,7 +85,7 @@ impl Tool {
 
     /// A built-in tool, or one from a file when no built-in one has this name.
     pub fn named_or_load(name_or_path: &str) -> Result<Tool, ProfileError> {
-        named_or_load(name_or_path, Tool::builtin, |path| Tool::load(path))
+        named_or_load(name_or_path, Tool::builtin, Tool::load)
     }
 
     /// Whether a built-in tool's figures are voxels: build it with [`Tool::builtin_for_pitch`].
@@ -178,6 +178,27 @@ mod tests {
             let text = toml::to_string(&tool).unwrap();
             assert_eq!(Tool::parse("again", &text).unwrap(), tool);
             assert_eq!(tool.validate(), Ok(()));
+        }
+    }
+
+    #[test]
+    fn presets_obey_the_published_schemas() {
+        let machine = serde_json::to_value(schemars::schema_for!(Machine)).unwrap();
+        let tool = serde_json::to_value(schemars::schema_for!(Tool)).unwrap();
+        let (machine, tool) = (
+            jsonschema::validator_for(&machine).unwrap(),
+            jsonschema::validator_for(&tool).unwrap(),
+        );
+        for (name, text) in MACHINES.iter().chain(TOOLS) {
+            let value: serde_json::Value = toml::from_str(text).unwrap();
+            let is_tool = TOOLS.iter().any(|(n, _)| n == name);
+            let found = if is_tool { tool.validate(&value) } else { machine.validate(&value) };
+            assert!(found.is_ok(), "{name}: {}", found.unwrap_err());
+            let wrong = text.replacen("radius = 1.5", "radios = 1.5", 1);
+            let value: serde_json::Value = toml::from_str(&wrong).unwrap();
+            if wrong != *text {
+                assert!(!if is_tool { tool.is_valid(&value) } else { machine.is_valid(&value) });
+            }
         }
     }
 

@@ -80,3 +80,12 @@ impl<'de> Deserialize<'de> for Section {
         Flat::deserialize(deserializer)?.section().map_err(D::Error::custom)
     }
 }
+
+/// A list of sections; an error says which one it is about, counted from 1.
+pub(super) fn numbered<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Section>, D::Error> {
+    let flat: Vec<Flat> = Vec::deserialize(from)?;
+    let read = |(i, f): (usize, &Flat)| {
+        f.section().map_err(|what| D::Error::custom(format!("section {}: {what}", i + 1)))
+    };
+    flat.iter().enumerate().map(read).collect()
+}

@@ -38,7 +38,7 @@ pub struct Section {
 pub struct Tool {
     pub name: String,
     pub kind: ToolKind,
-    #[serde(rename = "section")]
+    #[serde(rename = "section", deserialize_with = "super::section::numbered")]
     pub sections: Vec<Section>,
     /// What it is run with.
     #[serde(default)]
@@ -214,6 +214,20 @@ impl Shape {
             Shape::Frustum { r0, r1, .. } => r0.max(r1),
             Shape::Platform { .. } => f64::INFINITY,
         }
+    }
+
+    /// Radius of the shape at height `z`, mm; none where it has nothing.
+    pub fn radius_at(&self, z: f64) -> Option<f64> {
+        if !(self.bottom()..=self.top()).contains(&z) {
+            return None;
+        }
+        let chord = |r: f64, below: f64| (r * r - below * below).max(0.0).sqrt();
+        Some(match *self {
+            Shape::Ball { radius } => chord(radius, radius - z),
+            Shape::BullNose { radius, corner } => radius - corner + chord(corner, corner - z),
+            Shape::Frustum { z0, r0, z1, r1 } => r0 + (r1 - r0) * (z - z0) / (z1 - z0),
+            Shape::Platform { .. } => f64::INFINITY,
+        })
     }
 
     /// Lowest height of the shape, mm.

@@ -59,7 +59,7 @@ impl Chain {
                 continue;
             }
             let found = Overtravel::of(letter, value, [low, high]);
-            if worst.is_none_or(|w| !(found.overtravel <= w.overtravel)) {
+            if worst.is_none_or(|w| found.worse_than(&w)) {
                 worst = Some(found);
             }
         }
@@ -79,7 +79,7 @@ impl Chain {
         for tip in tips {
             let axes = self.axes(placement, rotary, *tip, gauge_mm);
             if let Err(found) = self.check_axes(axes, gauge_mm)
-                && worst.is_none_or(|w| !(found.overtravel <= w.overtravel))
+                && worst.is_none_or(|w| found.worse_than(&w))
             {
                 worst = Some(found);
             }
@@ -131,8 +131,13 @@ impl Overtravel {
         Overtravel { axis, value, limit, overtravel: (value - limit).abs() }
     }
 
+    /// A figure that is no number is worse than any other.
+    fn worse_than(&self, other: &Overtravel) -> bool {
+        self.overtravel.is_nan() || self.overtravel > other.overtravel
+    }
+
     fn lesser(self, other: Overtravel) -> Overtravel {
-        if other.overtravel < self.overtravel { other } else { self }
+        if self.worse_than(&other) { other } else { self }
     }
 }
 
@@ -142,4 +147,81 @@ pub(super) fn corners(b: Aabb) -> [DVec3; 8] {
         let pick = |bit: usize, low: f64, high: f64| if i >> bit & 1 == 0 { low } else { high };
         DVec3::new(pick(0, b.min.x, b.max.x), pick(1, b.min.y, b.max.y), pick(2, b.min.z, b.max.z))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::machine::{Holding, Machine};
+
+    #[test]
+    fn the_worst_axis_is_named_with_its_figures() {
+        let machine = Machine::builtin("mx220").unwrap();
+        let placement = machine.placement(&Holding::AS_CLAMPED, DVec3::ZERO);
+        let chain = &machine.kinematics;
+        let check = |tips: &[DVec3], gauge| {
+            chain.check_travel(&placement, RotaryAngles::default(), gauge, tips)
+        };
+        assert_eq!(check(&[], 55.0), Ok(()));
+        assert_eq!(check(&[DVec3::new(110.0, -60.0, 0.0)], 55.0), Ok(()));
+        let found = check(&[DVec3::new(111.0, 0.0, 0.0), DVec3::new(0.0, -64.0, 0.0)], 55.0);
+        let worst = Overtravel { axis: 'Y', value: -64.0, limit: -60.0, overtravel: 4.0 };
+        assert_eq!(found, Err(worst));
+        // The nose: pedestal 45 + tip 100 + gauge 95 is the limit of 240 exactly, 96 is above it.
+        assert_eq!(check(&[DVec3::Z * 100.0], 95.0), Ok(()));
+        let found = check(&[DVec3::Z * 100.0], 96.0).unwrap_err();
+        assert_eq!((found.axis, found.limit), ('Z', 240.0));
+        assert!(found.to_string().contains("1.000 beyond its limit of 240.000"), "{found}");
+        assert!(check(&[DVec3::NAN], 55.0).is_err());
+    }
+
+    #[test]
+    fn angles_are_checked_too() {
+        let chain = Machine::builtin("mx220").unwrap().kinematics;
+        let at = |first_deg| {
+            let rotary = RotaryAngles { first_deg, second_deg: 1e4 };
+            chain.check_axes(AxisValues::new(DVec3::ZERO, rotary), 55.0)
+        };
+        assert_eq!(at(-95.0), Ok(()));
+        assert!(at(96.0).unwrap_err().to_string().starts_with("axis A would go to 96.000 degrees"));
+        assert!(at(f64::NAN).is_err());
+    }
+
+    #[test]
+    fn a_box_is_within_travel_exactly_when_its_points_are() {
+        let machine = Machine::builtin("mx220").unwrap();
+        let placement = machine.placement(&Holding::AS_CLAMPED, DVec3::ZERO);
+        let rotary = RotaryAngles { first_deg: 50.0, second_deg: 33.0 };
+        let chain = &machine.kinematics;
+        for edge in [10.0, 40.0, 60.0, 90.0, 150.0] {
+            let tips = Aabb { min: DVec3::new(-edge, -edge, 0.0), max: DVec3::splat(edge) };
+            let inside: Vec<DVec3> = (0..11 * 11 * 11)
+                .map(|i| DVec3::new((i % 11) as f64, (i / 11 % 11) as f64, (i / 121) as f64))
+                .map(|v| tips.min + tips.size() * v / 10.0)
+                .collect();
+            let whole = chain.check_travel_box(&placement, rotary, 55.0, tips);
+            let each = chain.check_travel(&placement, rotary, 55.0, &inside);
+            assert_eq!(whole.is_ok(), each.is_ok(), "{edge}");
+        }
+        assert_eq!(chain.check_travel_box(&placement, rotary, 55.0, Aabb::EMPTY), Ok(()));
+    }
+
+    #[test]
+    fn the_other_posture_serves_when_the_nearest_overtravels() {
+        let mut machine = Machine::builtin("5xm600").unwrap();
+        let placement = machine.placement(&Holding::AS_CLAMPED, DVec3::ZERO);
+        let chain = &mut machine.kinematics;
+        let tips = [DVec3::new(0.0, 0.0, 30.0)];
+        let find =
+            |chain: &Chain| chain.posture(&placement, Direction::X, chain.home(), 80.0, &tips);
+        assert_eq!(find(chain).unwrap().first_deg, 90.0);
+        // B = 90 needs x = 150, B = −90 needs x = −150.
+        chain.x.limits_mm = [-300.0, 140.0];
+        assert_eq!(find(chain).unwrap().first_deg, -90.0);
+        chain.x.limits_mm = [-145.0, 140.0];
+        let refused = find(chain).unwrap_err();
+        assert!(matches!(refused, NoPosture::Overtravel(o) if o.axis == 'X' && o.limit == -145.0));
+        chain.first.limits_deg = Some([-80.0, 80.0]);
+        assert!(matches!(find(chain), Err(NoPosture::Unreachable(_))));
+    }
 }
