@@ -66,7 +66,9 @@ fn used(code: &str) -> BTreeSet<String> {
                         '{' => depth += 1,
                         '}' if depth == 0 => break,
                         '}' => depth -= 1,
-                        ',' if depth == 0 => drop(found.insert(word(std::mem::take(&mut item).trim()))),
+                        ',' if depth == 0 => {
+                            drop(found.insert(word(std::mem::take(&mut item).trim())))
+                        }
                         _ => {}
                     }
                     if c != ',' || depth > 0 {

@@ -22,8 +22,9 @@ pub struct Posted {
     pub rules: Vec<RuleLine>,
 }
 
+/// The motion that puts the target where it reuses most of the initial part.
 pub fn setup(_initial: &TriMesh, _target: &TriMesh, _ctx: &Ctx) -> Result<DAffine3, Failure> {
-    Err(Failure::input("seam"))
+    Err(Failure::input("the setup search is not in this version; give --setup keep"))
 }
 
 /// Plans with the planner asked for.
@@ -79,11 +80,7 @@ pub fn post(job: &Job, verdict: &Verdict, regardless: bool, ctx: &Ctx) -> Result
     }
 }
 
-fn attempt(
-    job: &Job,
-    verdict: &Verdict,
-    ctx: &Ctx,
-) -> Result<(Program, CheckReport), PostError> {
+fn attempt(job: &Job, verdict: &Verdict, ctx: &Ctx) -> Result<(Program, CheckReport), PostError> {
     let plan = &verdict.plan;
     let paths = match verdict.clone().into_verified() {
         Ok(verified) => toolpath::for_plan(job, &verified, ctx)?,
@@ -134,7 +131,8 @@ fn program_rules(report: &CheckReport) -> Vec<RuleLine> {
     broken.dedup();
     let line = |rule| {
         let mut of_rule = report.findings.iter().filter(|f| f.rule == rule);
-        let first = of_rule.next().map_or(String::new(), |f| format!("line {}: {}", f.line, f.message));
+        let first =
+            of_rule.next().map_or(String::new(), |f| format!("line {}: {}", f.line, f.message));
         let more = match of_rule.count() {
             0 => String::new(),
             n => format!("; and {n} more"),

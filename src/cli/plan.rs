@@ -127,11 +127,7 @@ pub fn context(output: &OutputArgs, limit: Option<f64>, seed: u64) -> Result<Ctx
     Ok(Ctx::new(cancel, deadline, progress::fitting(output), seed))
 }
 
-fn prepare(
-    config: &PlanConfig,
-    ctx: &Ctx,
-    clock: &mut Clock,
-) -> Result<(Job, Inputs), Failure> {
+fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<(Job, Inputs), Failure> {
     let (mut initial, mut target) = clock.time("load", || -> Result<_, Failure> {
         Ok((Part::read(&config.initial)?, Part::read(&config.target)?))
     })?;
@@ -179,12 +175,7 @@ fn prepare(
 }
 
 /// The workpiece after each step, and what was reused, removed and added in all.
-fn write_states(
-    draft: &output::Draft,
-    job: &Job,
-    plan: &Plan,
-    ctx: &Ctx,
-) -> Result<(), Failure> {
+fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Result<(), Failure> {
     ctx.begin("writing states", plan.steps.len() as u64 + 3);
     let mesh = |name: &str, grid: &BitGrid| -> Result<(), Failure> {
         ctx.check()?;
@@ -209,7 +200,8 @@ fn write_states(
         mesh(&format!("{:02}-{kind}", i + 1), &state)?;
     }
     let end = end_state(job, plan);
-    for (name, grid) in [("reused", &end.reused), ("removed", &end.removed), ("added", &end.added)] {
+    for (name, grid) in [("reused", &end.reused), ("removed", &end.removed), ("added", &end.added)]
+    {
         mesh(name, grid)?;
     }
     ctx.end();

@@ -165,8 +165,7 @@ fn rebuild(dir: &Path, file: &PlanFile, ctx: &Ctx) -> Result<Job, Failure> {
             "the grid in {PLAN} is not the one its inputs and pitch make"
         )));
     }
-    let of_kind =
-        |kind| file.tools.iter().filter(|t| t.kind == kind).cloned().collect::<Vec<_>>();
+    let of_kind = |kind| file.tools.iter().filter(|t| t.kind == kind).cloned().collect::<Vec<_>>();
     Ok(Job {
         frame,
         initial: inputs::solid(&initial, &initial_mesh, &frame, ctx)?,
@@ -214,10 +213,13 @@ fn file_rule(file: &PlanFile, again: &Summary, plan: &Plan, job: &Job) -> RuleLi
     wrong.extend(differences(&expected, &file.summary));
     let figure = match wrong.first() {
         None => format!("{} steps and the summary agree with their regions", file.steps.len()),
-        Some(first) => format!("{first}{}", match wrong.len() - 1 {
-            0 => String::new(),
-            n => format!(" (and {n} more)"),
-        }),
+        Some(first) => format!(
+            "{first}{}",
+            match wrong.len() - 1 {
+                0 => String::new(),
+                n => format!(" (and {n} more)"),
+            }
+        ),
     };
     RuleLine { rule: "file".into(), passed: wrong.is_empty(), figure }
 }
