@@ -56,28 +56,27 @@ fn used(code: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for (at, _) in code.match_indices("crate::") {
         let rest = &code[at + "crate::".len()..];
-        match rest.strip_prefix('{') {
-            None => drop(found.insert(word(rest))),
-            Some(list) => {
-                let mut depth = 0;
-                let mut item = String::new();
-                for c in list.chars() {
-                    match c {
-                        '{' => depth += 1,
-                        '}' if depth == 0 => break,
-                        '}' => depth -= 1,
-                        ',' if depth == 0 => {
-                            drop(found.insert(word(std::mem::take(&mut item).trim())))
-                        }
-                        _ => {}
-                    }
-                    if c != ',' || depth > 0 {
-                        item.push(c);
-                    }
+        let Some(list) = rest.strip_prefix('{') else {
+            found.insert(word(rest));
+            continue;
+        };
+        let mut depth = 0;
+        let mut item = String::new();
+        for c in list.chars() {
+            match c {
+                '}' if depth == 0 => break,
+                ',' if depth == 0 => {
+                    found.insert(word(item.trim()));
+                    item.clear();
+                    continue;
                 }
-                found.insert(word(item.trim()));
+                '{' => depth += 1,
+                '}' => depth -= 1,
+                _ => {}
             }
+            item.push(c);
         }
+        found.insert(word(item.trim()));
     }
     found
 }
