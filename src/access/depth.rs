@@ -309,21 +309,13 @@ mod tests {
     use proptest::prelude::*;
 
     fn cutter(radius: f64, length: f64, holder: f64) -> Tool {
-        Tool {
-            name: "t".into(),
-            kind: ToolKind::Subtractive,
-            sections: vec![
-                Section { shape: Shape::Ball { radius }, active: true },
-                Section {
-                    shape: Shape::Frustum { z0: radius, r0: radius, z1: length, r1: radius },
-                    active: true,
-                },
-                Section {
-                    shape: Shape::Frustum { z0: length, r0: holder, z1: 2.0 * length, r1: holder },
-                    active: false,
-                },
-            ],
-        }
+        let frustum = |z0, r0, z1, r1| Shape::Frustum { z0, r0, z1, r1 };
+        let sections = vec![
+            Section { shape: Shape::Ball { radius }, active: true },
+            Section { shape: frustum(radius, radius, length, radius), active: true },
+            Section { shape: frustum(length, holder, 2.0 * length, holder), active: false },
+        ];
+        Tool::new("t", ToolKind::Subtractive, sections)
     }
 
     /// The definition: is there a lattice tip within the edge's radius that collides with nothing?

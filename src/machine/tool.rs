@@ -64,7 +64,7 @@ const LARGEST_MM: f64 = 10_000.0;
 
 impl Tool {
     pub fn new(name: &str, kind: ToolKind, sections: Vec<Section>) -> Tool {
-        Tool { name: name.into(), kind, sections, process: Process::default() }
+        Tool { name: name.into(), kind, sections, process: Default::default() }
     }
 
     /// Checks every figure; call it on whatever comes from a file.

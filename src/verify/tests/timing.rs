@@ -54,7 +54,7 @@ fn seconds_a_step() {
     });
     let dome = grid(|[x, y, z]| {
         let r2 = (x as f64 - 100.0).powi(2) + (y as f64 - 100.0).powi(2);
-        z >= 70 && z < 150 && r2 < (85.0 - 0.5 * (z as f64 - 70.0)).powi(2)
+        (70..150).contains(&z) && r2 < (85.0 - 0.5 * (z as f64 - 70.0)).powi(2)
     });
     let tilted = Direction::new(DVec3::new(0.2, 0.13, 1.0)).unwrap();
     let directions = [Direction::Z, tilted, Direction::X];
