@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 /// Largest difference between the working length a path promises and the one its program runs: a
 /// share of the length, for coordinates written with three decimals, and a floor in mm.
-const PROMISED: (f64, f64) = (5e-4, 0.5);
+const PROMISED: (f64, f64) = (2e-5, 0.1);
 
 /// A program is not read beyond this size: 1 GiB, ten times the largest plan's.
 const MOST_BYTES: usize = 1 << 30;

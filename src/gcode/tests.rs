@@ -1,1 +1,269 @@
+use super::*;
+use crate::base::Ctx;
+use crate::toolpath::tests::{MACHINES, WORLDS, World, pocket, tilted, tower};
+use crate::toolpath::{Toolpaths, for_unverified};
 
+fn paths(w: &World) -> Toolpaths {
+    for_unverified(&w.job, &w.plan, &Ctx::quiet()).unwrap()
+}
+
+fn posted(w: &World) -> String {
+    post(&w.job, &w.plan, &paths(w), "sha256:0").unwrap().text().to_string()
+}
+
+fn report(w: &World, text: &str) -> CheckReport {
+    check(text, &w.job, &w.plan, None, &Ctx::quiet()).unwrap()
+}
+
+fn told(r: &CheckReport) -> String {
+    r.findings.iter().map(|f| format!("{f}\n")).collect()
+}
+
+#[test]
+fn every_world_passes_on_every_machine() {
+    for machine in MACHINES {
+        for (name, make) in WORLDS {
+            let w = make(machine);
+            let p = paths(&w);
+            let program = post(&w.job, &w.plan, &p, "sha256:0").unwrap();
+            let ctx = Ctx::quiet();
+            let (r, checked) = check_program(program, &w.job, &w.plan, Some(&p), &ctx).unwrap();
+            assert!(r.passed(), "{name} on {machine}:\n{}", told(&r));
+            assert!(checked.is_some());
+            for (f, p) in r.steps.iter().zip(p.all()) {
+                assert!(f.time_s >= 0.9 * p.figures.time_s, "{name} on {machine}");
+            }
+        }
+    }
+}
+
+/// The text with line `at` (from 1) replaced, or dropped for None.
+fn with_line(text: &str, at: usize, new: Option<&str>) -> String {
+    let lines =
+        text.lines().enumerate().filter_map(|(i, l)| if i + 1 == at { new } else { Some(l) });
+    lines.map(|l| format!("{l}\n")).collect()
+}
+
+/// Line numbers that satisfy `f`, from 1.
+fn lines_where(text: &str, f: impl Fn(&str) -> bool) -> Vec<usize> {
+    text.lines().enumerate().filter(|(_, l)| f(l)).map(|(i, _)| i + 1).collect()
+}
+
+/// The altered program breaks `rule`, first at one of `lines`.
+fn caught(w: &World, text: &str, rule: Rule, lines: std::ops::RangeInclusive<usize>) {
+    let r = report(w, text);
+    let found = r.findings.iter().find(|f| f.rule == rule);
+    assert!(found.is_some_and(|f| lines.contains(&f.line)), "{rule} in {lines:?}:\n{}", told(&r));
+}
+
+#[test]
+fn a_missing_spindle_start_is_caught_at_the_first_cut() {
+    let w = pocket("generic-5axis");
+    let text = posted(&w);
+    let at = lines_where(&text, |l| l.ends_with("M3"))[0];
+    let first = lines_where(&text, |l| l.starts_with("G1 "))[0];
+    caught(&w, &with_line(&text, at, None), Rule::Spindle, first - 1..=first - 1);
+}
+
+#[test]
+fn extruder_codes_that_are_missing_are_caught() {
+    let w = tower("generic-5axis");
+    let text = posted(&w);
+    for (code, after) in [("M72", 2), ("M73", 1), ("M74", 3), ("M75", 1)] {
+        let at = lines_where(&text, |l| l == code)[3];
+        caught(&w, &with_line(&text, at, None), Rule::Extruder, at..=at + after);
+    }
+    for code in ["M70", "M71"] {
+        let at = lines_where(&text, |l| l == code)[0];
+        caught(&w, &with_line(&text, at, None), Rule::Extruder, at..=at + 8);
+    }
+}
+
+#[test]
+fn a_moved_coordinate_is_caught_on_its_line() {
+    let shift = |line: &str, letter: char, by: f64| {
+        let words = line.split(' ').map(|word| match word.strip_prefix(letter) {
+            Some(n) => format!("{letter}{:.3}", n.parse::<f64>().unwrap() + by),
+            None => word.to_string(),
+        });
+        words.collect::<Vec<_>>().join(" ")
+    };
+    let w = pocket("generic-5axis");
+    let text = posted(&w);
+    let cuts = lines_where(&text, |l| l.starts_with('X') || l.starts_with("G1 X"));
+    for at in [cuts[5], cuts[cuts.len() / 2], cuts[cuts.len() - 5]] {
+        let line = text.lines().nth(at - 1).unwrap();
+        let r = report(&w, &with_line(&text, at, Some(&shift(line, 'X', 20.0))));
+        assert!(r.findings.iter().any(|f| f.line == at), "{line}:\n{}", told(&r));
+    }
+    let down = lines_where(&text, |l| l.starts_with('Z'));
+    let at = down[down.len() / 2];
+    let line = text.lines().nth(at - 1).unwrap();
+    let low = with_line(&text, at, Some(&shift(line, 'Z', -20.0)));
+    caught(&w, &low, Rule::Gouge, at..=at);
+
+    let w = tower("generic-5axis");
+    let text = posted(&w);
+    let beads = lines_where(&text, |l| l.starts_with('X'));
+    let at = beads[beads.len() / 2];
+    let line = text.lines().nth(at - 1).unwrap();
+    let away = with_line(&text, at, Some(&shift(line, 'X', 20.0)));
+    caught(&w, &away, Rule::Astray, at..=at + 1);
+}
+
+#[test]
+fn a_missing_retract_is_caught_at_the_rapid_that_follows() {
+    let w = pocket("generic-5axis");
+    let text = posted(&w);
+    let ups = lines_where(&text, |l| l.starts_with("G0 Z"));
+    let at = ups[ups.len() / 2];
+    // Without the retract the next rapid crosses the work: its G0 went with the dropped line.
+    let next = text.lines().nth(at).unwrap();
+    assert!(next.starts_with('X') || next.starts_with('Y'), "{next}");
+    let text = with_line(&with_line(&text, at, None), at, Some(&format!("G0 {next}")));
+    caught(&w, &text, Rule::Rapid, at..=at);
+}
+
+#[test]
+fn a_flipped_rotary_sign_is_caught_on_its_line() {
+    for machine in MACHINES {
+        let w = tilted(machine);
+        let text = posted(&w);
+        let chain = &w.job.machine.kinematics;
+        let (a, c) = (chain.first.letter, chain.second.letter);
+        let turns = lines_where(&text, |l| l.starts_with(&format!("G0 {a}")));
+        assert_eq!(turns.len(), 2);
+        let line = text.lines().nth(turns[0] - 1).unwrap();
+        // Flip whichever of the two axes is not at zero or a half turn.
+        let flip = |letter: char| {
+            let words = line.split(' ').map(|word| match word.strip_prefix(letter) {
+                Some(n) => format!("{letter}{:.4}", -n.parse::<f64>().unwrap()),
+                None => word.to_string(),
+            });
+            words.collect::<Vec<_>>().join(" ")
+        };
+        let flipped = [flip(a), flip(c)].into_iter().filter(|f| f.as_str() != line);
+        let mut noticed = 0;
+        for f in flipped {
+            let r = report(&w, &with_line(&text, turns[0], Some(&f)));
+            let on_line = |x: &&Finding| {
+                x.line == turns[0] && matches!(x.rule, Rule::Direction | Rule::Limits)
+            };
+            noticed += usize::from(r.findings.iter().find(on_line).is_some());
+        }
+        assert!(noticed > 0, "{machine}: {line}");
+    }
+}
+
+#[test]
+fn rotary_motion_outside_the_parking_height_is_caught() {
+    let w = tilted("generic-5axis");
+    let text = posted(&w);
+    let turn = lines_where(&text, |l| {
+        l.starts_with("G0 A") || l.starts_with("G0 B") || l.starts_with("G0 C")
+    })[1];
+    let park = lines_where(&text, |l| l.starts_with("G53"));
+    let before = *park.iter().rev().find(|p| **p < turn).unwrap();
+    let lower = text.lines().nth(before - 1).unwrap().replace("750", "700");
+    caught(&w, &with_line(&text, before, Some(&lower)), Rule::Rotary, before..=turn);
+}
+
+#[test]
+fn broken_text_is_caught_on_its_line() {
+    let w = pocket("generic-5axis");
+    let text = posted(&w);
+    let at = lines_where(&text, |l| l.starts_with('X'))[4];
+    let long = format!("(words{})", " words".repeat(60));
+    for (line, rule) in [
+        ("X1.2.3", Rule::Syntax),
+        ("Xnan", Rule::Syntax),
+        ("X99999999", Rule::Syntax),
+        ("G1 X\u{e4}", Rule::Syntax),
+        (long.as_str(), Rule::Syntax),
+        ("G2 X1 Y1 I1", Rule::Modes),
+        ("G91", Rule::Modes),
+        ("E5", Rule::Modes),
+        ("U1", Rule::Modes),
+        ("M8", Rule::Modes),
+        ("G1 Z1 M3", Rule::Syntax),
+        ("X5000", Rule::Limits),
+        ("M30", Rule::End),
+    ] {
+        caught(&w, &with_line(&text, at, Some(line)), rule, at..=at + 1);
+    }
+    let feed = lines_where(&text, |l| l.contains(" F"))[0];
+    let line = text.lines().nth(feed - 1).unwrap();
+    let bare = line.split(" F").next().unwrap().to_string();
+    caught(&w, &with_line(&text, feed, Some(&bare)), Rule::Feed, feed..=feed);
+    for modal in ["G21", "G90", "G94", "G17", "G54"] {
+        let at = lines_where(&text, |l| l == modal)[0];
+        assert!(!report(&w, &with_line(&text, at, None)).passed(), "{modal}");
+    }
+}
+
+#[test]
+fn a_truncated_program_is_no_program() {
+    let w = tower("generic-5axis");
+    let text = posted(&w);
+    let half: String =
+        text.lines().take(text.lines().count() / 2).map(|l| format!("{l}\n")).collect();
+    let r = report(&w, &half);
+    for rule in [Rule::End, Rule::Volume] {
+        assert!(r.findings.iter().any(|f| f.rule == rule), "{rule}:\n{}", told(&r));
+    }
+    assert!(!report(&w, "").passed());
+}
+
+#[test]
+fn a_program_of_another_plan_does_less_or_more_than_promised() {
+    let (a, b) = (pocket("generic-5axis"), tower("generic-5axis"));
+    assert!(!report(&a, &posted(&b)).passed());
+    let w = tower("generic-5axis");
+    let mut text = posted(&w);
+    // One closed bead printed twice.
+    let stops = lines_where(&text, |l| l == "M73");
+    let next = |on: usize| *stops.iter().find(|l| **l > on).unwrap();
+    let starts = lines_where(&text, |l| l == "M72");
+    let on = *starts.iter().skip(1).find(|on| next(**on) > **on + 4).unwrap();
+    let off = next(on);
+    let lines: Vec<&str> = text.lines().collect();
+    let again =
+        [&lines[..off - 1], &lines[on..off - 1], &lines[on..off - 1], &lines[off - 1..]].concat();
+    text = again.iter().map(|l| format!("{l}\n")).collect();
+    let p = paths(&w);
+    let r = check(&text, &w.job, &w.plan, Some(&p), &Ctx::quiet()).unwrap();
+    assert!(r.findings.iter().any(|f| f.rule == Rule::Volume), "{}", told(&r));
+}
+
+#[test]
+fn what_the_machine_cannot_do_is_refused_with_the_step() {
+    let mut w = tower("generic-5axis");
+    let p = paths(&w);
+    w.job.machine.control.dialect = "latin".into();
+    assert!(matches!(post(&w.job, &w.plan, &p, ""), Err(PostError::UnknownDialect { .. })));
+    let mut w = tower("generic-5axis");
+    w.job.machine.kinematics.z.limits_mm = [700.0, 800.0];
+    assert!(matches!(post(&w.job, &w.plan, &p, ""), Err(PostError::Posture { step: 0, .. })));
+    let mut w = tower("generic-5axis");
+    w.job.machine.control.max_feed_mm_min = 10.0;
+    assert!(matches!(post(&w.job, &w.plan, &p, ""), Err(PostError::TooFast { step: 0, .. })));
+    let mut w = tower("generic-5axis");
+    w.job.machine.extruder = None;
+    assert!(matches!(post(&w.job, &w.plan, &p, ""), Err(PostError::NoExtruder { step: 0, .. })));
+}
+
+#[test]
+fn header_text_cannot_smuggle_code_into_the_program() {
+    let w = pocket("generic-5axis");
+    let p = paths(&w);
+    let program = post(&w.job, &w.plan, &p, "x)\nG0 Z-100 (").unwrap();
+    assert!(program.lines().all(|l| l.is_ascii()));
+    assert!(report(&w, program.text()).passed());
+    assert!(program.text().contains("PLAN NOT VERIFIED"));
+}
+
+#[test]
+fn the_tiny_program_is_as_it_was() {
+    let w = crate::toolpath::tests::tiny("generic-5axis");
+    insta::assert_snapshot!(posted(&w));
+}

@@ -195,24 +195,28 @@ impl<'a> Stage<'a> {
         free.data.iter().zip(&self.floor.data).zip(&self.top.data).map(pick).collect()
     }
 
-    /// Cuts down to `bottom` in levels, where that is below `ceiling` and below what was cut `near`.
+    /// Cuts down to `bottom` in levels, where that is below `ceiling`. Levels above what was
+    /// already cut `near` a cell are passed over: only air is left there.
     fn levels(&mut self, bottom: &[f32], ceiling: &[f32], near: &[f32]) {
         let same = SAME_HEIGHT_MM as f32;
-        let due: Vec<usize> =
-            (0..bottom.len()).filter(|i| bottom[*i] < ceiling[*i].min(near[*i]) - same).collect();
-        let start = due.iter().map(|i| ceiling[*i].min(near[*i]).min(self.safe as f32));
-        let start = start.fold(f32::NEG_INFINITY, f32::max);
+        let due: Vec<usize> = (0..bottom.len())
+            .filter(|i| bottom[*i] < ceiling[*i].min(self.done[*i]) - same)
+            .collect();
+        let open = |i: usize| ceiling[i].min(near[i]).max(bottom[i]);
+        let start = due.iter().map(|i| open(*i)).fold(f32::NEG_INFINITY, f32::max);
+        let start = start.min(self.safe as f32) + same;
         let lowest = due.iter().map(|i| bottom[*i]).fold(f32::INFINITY, f32::min);
         let (step, mut k) = (self.process.step_down as f32, 1.0);
-        let mut last = start;
+        let mut last = start + same;
         while last > lowest + same {
             let level = start - k * step;
             let z = |i: usize| bottom[i].max(level);
             let mut set = vec![false; bottom.len()];
             for &i in &due {
-                set[i] = z(i) < ceiling[i].min(near[i]).min(last) - same;
+                let fresh = z(i) < ceiling[i].min(last) - same;
+                set[i] = fresh && (bottom[i] >= level || level < near[i]);
             }
-            let enter = |i: usize| ceiling[i].min(near[i]).min(last);
+            let enter = |i: usize| open(i).min(last).max(z(i));
             let stepover = self.process.stepover / self.lattice.s;
             self.passes(&set, stepover, &z, &enter, self.process.feed);
             for &i in due.iter().filter(|i| set[**i]) {

@@ -17,7 +17,7 @@ mod print;
 mod process;
 mod slice;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use moves::{Figures, Move, MoveKind, Toolpath};
 pub use print::INSET_SLACK;

@@ -67,8 +67,7 @@ impl Toolpath {
         self.moves
             .windows(2)
             .filter(|w| w[1].kind == kind)
-            .map(|w| w[0].tip.distance(w[1].tip))
-            .sum()
+            .fold(0.0, |sum, w| sum + w[0].tip.distance(w[1].tip))
     }
 }
 

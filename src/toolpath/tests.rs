@@ -1,1 +1,253 @@
+//! Small worlds that paths and programs are tested on, and what must hold on them.
 
+use super::*;
+use crate::base::Direction;
+use crate::machine::{Machine, ToolKind};
+use crate::mesh::TriMesh;
+use crate::plan::{Origin, Rules, Step};
+use crate::voxel::Frame;
+
+pub(crate) const MACHINES: [&str; 3] = ["generic-5axis", "mx220", "5xm600"];
+
+/// A job whose regions are given as conditions on voxel centres (mm), standing on z = 0.
+pub(crate) struct World {
+    pub job: Job,
+    pub plan: Plan,
+}
+
+pub(crate) type Part = fn(DVec3) -> bool;
+
+pub(crate) fn world(
+    machine: &str,
+    h: f64,
+    size: DVec3,
+    start: Part,
+    steps: &[(StepKind, DVec3, Part)],
+) -> World {
+    let machine = Machine::builtin(machine).unwrap();
+    let n = (size / h).round();
+    let dims = [n.x as usize, n.y as usize, n.z as usize];
+    let frame = Frame { pitch: h, dims, origin: DVec3::ZERO };
+    let grid = |f: Part| BitGrid::from_fn(dims, |v| f(frame.center(v)));
+    let tools = |kind| machine.tools_of(kind).into_iter().cloned().collect::<Vec<Tool>>();
+    let (cutters, nozzles) = (tools(ToolKind::Subtractive), tools(ToolKind::Additive));
+    let mut state = grid(start);
+    let initial = state.clone();
+    let mut made = Vec::new();
+    for (kind, d, part) in steps {
+        let mut region = grid(*part);
+        let tool = match kind {
+            StepKind::Subtractive => {
+                region.intersect_with(&state);
+                state.subtract(&region);
+                &cutters[0]
+            }
+            StepKind::Additive => {
+                region.subtract(&state);
+                state.union_with(&region);
+                &nozzles[0]
+            }
+        };
+        made.push(Step {
+            kind: *kind,
+            tool: tool.name.clone(),
+            direction: Direction::new(*d).unwrap(),
+            holding: 0,
+            region,
+            block: made.len(),
+            origin: Origin::default(),
+        });
+    }
+    let job = Job {
+        frame,
+        initial,
+        target: state,
+        initial_mesh: TriMesh::default(),
+        target_mesh: TriMesh::default(),
+        machine,
+        cutters,
+        nozzles,
+        rules: Rules::for_pitch(h, 0.2),
+    };
+    World { job, plan: Plan { holdings: vec![Holding::AS_CLAMPED], steps: made } }
+}
+
+fn block(p: DVec3) -> bool {
+    p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 12.0
+}
+
+/// Whether a point lies in a pocket open upward, with all lower edges rounded by 2.5 mm: more than
+/// the ball end's radius, so that every voxel is within its reach.
+fn in_pocket(p: DVec3, low: DVec3, high: DVec3) -> bool {
+    const ROUND: f64 = 2.5;
+    let out = (low + ROUND - p).max(p - (high - ROUND)).max(DVec3::ZERO);
+    let open = DVec3::new(out.x, out.y, (low.z + ROUND - p.z).max(0.0));
+    open.length() < ROUND
+}
+
+/// A pocket with a step, cut from above.
+pub(crate) fn pocket(machine: &str) -> World {
+    let hole: Part = |p| {
+        let wide = in_pocket(p, DVec3::new(6.0, 5.0, 8.0), DVec3::new(19.0, 14.0, 12.0));
+        let deep = in_pocket(p, DVec3::new(6.0, 5.0, 5.0), DVec3::new(13.0, 14.0, 12.0));
+        wide || deep
+    };
+    let size = DVec3::new(24.0, 20.0, 14.0);
+    world(machine, 0.5, size, block, &[(StepKind::Subtractive, DVec3::Z, hole)])
+}
+
+/// A block printed on a block.
+pub(crate) fn tower(machine: &str) -> World {
+    let top: Part = |p| p.x > 6.0 && p.x < 18.0 && p.y > 5.0 && p.y < 15.0 && p.z < 17.0;
+    world(machine, 0.5, DVec3::new(24.0, 20.0, 20.0), block, &[(StepKind::Additive, DVec3::Z, top)])
+}
+
+/// One edge cut off at 45°, and a wedge printed on the cut face.
+pub(crate) fn tilted(machine: &str) -> World {
+    let slope = DVec3::new(0.0, 1.0, 1.0);
+    let cut: Part = |p| p.y + p.z > 24.0;
+    let wedge: Part = |p| {
+        p.y + p.z > 24.0
+            && p.y + p.z < 29.0
+            && p.z - p.y > -8.0
+            && p.z - p.y < 0.0
+            && p.x > 6.0
+            && p.x < 16.0
+    };
+    world(
+        machine,
+        0.5,
+        DVec3::new(24.0, 24.0, 20.0),
+        block,
+        &[(StepKind::Subtractive, slope, cut), (StepKind::Additive, slope, wedge)],
+    )
+}
+
+pub(crate) const WORLDS: [(&str, fn(&str) -> World); 3] =
+    [("pocket", pocket), ("tower", tower), ("tilted", tilted)];
+
+fn paths(w: &World) -> Vec<Toolpath> {
+    for_unverified(&w.job, &w.plan, &Ctx::quiet()).unwrap().all().to_vec()
+}
+
+/// The plain definition: no obstacle point inside the tool, to within `slack` mm.
+fn touches(tool: &Tool, obstacles: &[DVec3], d: Direction, tip: DVec3, slack: f64) -> bool {
+    let plane = d.image_plane();
+    obstacles.iter().any(|o| {
+        let rho = plane.across(*o).distance(plane.across(tip));
+        plane.height(*o) - slack > plane.height(tip) + tool.lower_surface(rho + slack)
+    })
+}
+
+#[test]
+fn cutters_clear_what_stays_and_sweep_what_goes() {
+    for w in [pocket("generic-5axis"), tilted("generic-5axis")] {
+        let path = &paths(&w)[0];
+        let after = w.job.initial.minus(&w.plan.steps[0].region);
+        let points: Vec<DVec3> =
+            after.boundary().iter_ones().map(|v| w.job.frame.center(v)).collect();
+        let tool = w.job.tool(&path.tool).unwrap();
+        // Tips stand on the lattice; a point is moved to its cell by at most half a pitch.
+        let slack = if path.direction.is_grid_axis() { 0.01 } else { 0.5 * w.job.frame.pitch };
+        for m in path.moves.iter().step_by(7) {
+            assert!(!touches(tool, &points, path.direction, m.tip, slack), "{m:?}");
+        }
+        assert!(path.figures.coverage > 0.99, "{:?}", path.figures);
+        assert!(path.figures.time_s > 20.0);
+    }
+}
+
+#[test]
+fn rapids_run_high_or_straight_up() {
+    for (name, make) in WORLDS {
+        for path in paths(&make("generic-5axis")) {
+            let d = path.direction;
+            for m in path.moves.windows(2).filter(|m| m[1].kind == MoveKind::Rapid) {
+                let (a, b) = (d.dot(m[0].tip), d.dot(m[1].tip));
+                let across = (m[1].tip - m[0].tip - d.vec() * (b - a)).length();
+                let high = a.min(b) >= path.safe_height - 1e-3;
+                assert!(high || (across < 1e-6 && b > a), "{name}: {m:?}");
+            }
+            let ends = [path.moves[0], path.moves[path.moves.len() - 1]];
+            assert!(ends.iter().all(|m| d.dot(m.tip) >= path.safe_height - 1e-3), "{name}");
+        }
+    }
+}
+
+#[test]
+fn no_cut_goes_deeper_than_a_level_at_once() {
+    let w = pocket("generic-5axis");
+    let path = &paths(&w)[0];
+    let tool = w.job.tool(&path.tool).unwrap();
+    let level = Milling::of(&w.job.machine, tool).step_down;
+    // A column of lowest tips: each new tip may undercut what was cut beside it by one level.
+    let mut lowest: std::collections::BTreeMap<(i64, i64), f64> = std::collections::BTreeMap::new();
+    for m in path.moves.windows(2).filter(|m| m[1].kind == MoveKind::Cut) {
+        let n = (m[0].tip.distance(m[1].tip) / 0.25).ceil().max(1.0);
+        for p in (0..=n as usize).map(|i| m[0].tip.lerp(m[1].tip, i as f64 / n)) {
+            let at = ((p.x / 0.5).round() as i64, (p.y / 0.5).round() as i64);
+            let around = (-3..=3).flat_map(|i| (-3..=3).map(move |j| (at.0 + i, at.1 + j)));
+            let near = around.filter_map(|c| lowest.get(&c)).fold(12.0f64, |a, b| a.min(*b));
+            assert!(p.z >= near - level - 0.8, "{m:?} after {near}");
+            let z = lowest.entry(at).or_insert(12.0);
+            *z = z.min(p.z);
+        }
+    }
+}
+
+#[test]
+fn beads_lie_in_the_region_and_layers_rise() {
+    for (w, step) in [(tower("generic-5axis"), 0), (tilted("generic-5axis"), 1)] {
+        let path = &paths(&w)[step];
+        let d = path.direction;
+        let region = &w.plan.steps[step].region;
+        let mut last = f64::NEG_INFINITY;
+        for m in path.moves.iter().filter(|m| m.kind == MoveKind::Deposit) {
+            let z = d.dot(m.tip);
+            assert!(z >= last - 1e-6);
+            last = z;
+            let middle = m.tip - d.vec() * 0.1;
+            let near = region.iter_ones().any(|v| w.job.frame.center(v).distance(middle) < 0.75);
+            assert!(near, "{m:?}");
+        }
+        let f = path.figures;
+        let share = f.material_mm3 / f.region_mm3;
+        assert!((0.35..0.75).contains(&share), "{share}");
+        assert!(f.thin_mm3 < 0.02 * f.region_mm3, "{f:?}");
+    }
+}
+
+#[test]
+fn the_same_plan_gives_the_same_paths_at_any_thread_count() {
+    let w = tilted("generic-5axis");
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| paths(&w))
+    };
+    assert_eq!(with(1), with(3));
+}
+
+#[test]
+fn plans_that_do_not_fit_the_job_are_refused() {
+    let mut w = pocket("generic-5axis");
+    w.plan.steps[0].holding = 3;
+    let refused = for_unverified(&w.job, &w.plan, &Ctx::quiet());
+    assert!(matches!(refused, Err(ToolpathError::NoHolding { step: 0, holding: 3, holdings: 1 })));
+    let mut w = pocket("generic-5axis");
+    w.plan.steps[0].tool = "spoon".into();
+    assert!(for_unverified(&w.job, &w.plan, &Ctx::quiet()).is_err());
+    let mut w = pocket("generic-5axis");
+    w.plan.steps[0].region = BitGrid::new([3, 3, 3]);
+    assert!(for_unverified(&w.job, &w.plan, &Ctx::quiet()).is_err());
+}
+
+/// A rib cut off a small block and a bar printed on it: the smallest whole program.
+pub(crate) fn tiny(machine: &str) -> World {
+    let start: Part = |p| p.x > 1.0 && p.x < 9.0 && p.y > 1.0 && p.y < 7.0 && p.z < 4.0;
+    let rib: Part = |p| p.x > 6.0 && p.z > 3.0;
+    let bar: Part = |p| p.x > 2.0 && p.x < 5.0 && p.y > 2.0 && p.y < 6.0 && p.z < 4.4;
+    let size = DVec3::new(10.0, 8.0, 6.0);
+    let steps: [(StepKind, DVec3, Part); 2] =
+        [(StepKind::Subtractive, DVec3::Z, rib), (StepKind::Additive, DVec3::Z, bar)];
+    world(machine, 0.5, size, start, &steps)
+}
