@@ -169,6 +169,13 @@ fn tools(machine: &Machine, names: &[String], kind: ToolKind) -> Result<Vec<Tool
                 tool.name
             )));
         }
+        if Tool::is_voxel_sized(&tool.name) {
+            return Err(Failure::Input(format!(
+                "{flag} {}: that tool is one voxel wide, for planner nullify, which this version \
+                 does not have yet",
+                tool.name
+            )));
+        }
         if tools[..i].iter().any(|t| t.name == tool.name) {
             return Err(Failure::Input(format!("{flag} names '{}' twice", tool.name)));
         }
@@ -218,8 +225,18 @@ mod tests {
     fn flags_for_one_part_win_over_flags_for_both() {
         use clap::Parser as _;
         let cli = args::Cli::try_parse_from([
-            "hmplan", "plan", "a", "b", "-o", "d", "--unit", "in", "--scale", "2",
-            "--target-unit", "m",
+            "hmplan",
+            "plan",
+            "a",
+            "b",
+            "-o",
+            "d",
+            "--unit",
+            "in",
+            "--scale",
+            "2",
+            "--target-unit",
+            "m",
         ]);
         let args::Command::Plan(args) = cli.unwrap().command else { panic!("a plan") };
         let u = &args.units;

@@ -66,7 +66,11 @@ impl Part {
 
 /// Turns up axes to z; then, as `keep` means it, one shift for both that puts the initial part's
 /// lowest point on the base plane.
-pub fn stand(initial: &mut Part, up: [super::args::Axis; 2], target: &mut Part) -> Result<(), Failure> {
+pub fn stand(
+    initial: &mut Part,
+    up: [super::args::Axis; 2],
+    target: &mut Part,
+) -> Result<(), Failure> {
     initial.place(&DAffine3::from_mat3(up[0].to_z()));
     let floor = initial.placed()?.bounds().min.z;
     let shift = DAffine3::from_translation(DVec3::new(0.0, 0.0, -floor));

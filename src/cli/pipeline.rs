@@ -3,22 +3,28 @@
 
 use super::config::PlanConfig;
 use super::exit::Failure;
-use super::plan::Clock;
+use super::plan::{Clock, digest};
 use hmplan::base::{Ctx, DAffine3};
+use hmplan::gcode::{self, CheckReport, PostError, Program};
 use hmplan::mesh::TriMesh;
-use hmplan::plan::{Job, Plan};
+use hmplan::plan::{Job, Plan, PlanFile};
 use hmplan::planner::{PlanError, reman};
 use hmplan::report::{PlannerFigures, RuleLine};
+use hmplan::toolpath::{self, ToolpathError};
 use hmplan::verify::Verdict;
 
-/// A program and the time each step takes on the machine, s.
+/// What posting gave: the program, the time each step takes (s), and how its check went.
+#[derive(Default)]
 pub struct Posted {
-    pub text: String,
+    /// None when the program may not be handed out.
+    pub text: Option<String>,
     pub step_seconds: Vec<f64>,
+    pub rules: Vec<RuleLine>,
 }
 
+/// The motion that puts the target where it reuses most of the initial part.
 pub fn setup(_initial: &TriMesh, _target: &TriMesh, _ctx: &Ctx) -> Result<DAffine3, Failure> {
-    Err(Failure::input("seam"))
+    Err(Failure::input("the setup search is not in this version; give --setup keep"))
 }
 
 /// Plans with the planner asked for.
@@ -54,11 +60,84 @@ fn failure(e: PlanError) -> Failure {
     }
 }
 
-pub fn post(_job: &Job, verdict: &Verdict, _ctx: &Ctx) -> Result<Posted, Failure> {
-    Ok(Posted { text: "%\nG0 X0\n%\n".into(), step_seconds: vec![60.0; verdict.plan.steps.len()] })
+/// Paths, program and its check. A program is handed out only when it passes, or when `regardless`
+/// is set; what keeps it back is in the rules.
+pub fn post(job: &Job, verdict: &Verdict, regardless: bool, ctx: &Ctx) -> Result<Posted, Failure> {
+    match attempt(job, verdict, ctx) {
+        Ok((program, report)) => {
+            let text = (report.passed() || regardless).then(|| program.text().to_string());
+            Ok(Posted {
+                text,
+                step_seconds: report.steps.iter().map(|s| s.time_s).collect(),
+                rules: program_rules(&report),
+            })
+        }
+        Err(PostError::Paths(ToolpathError::Cancelled(_))) => Err(Failure::Interrupted),
+        Err(e) => {
+            let rule = RuleLine { rule: "program".into(), passed: false, figure: e.to_string() };
+            Ok(Posted { text: None, step_seconds: Vec::new(), rules: vec![rule] })
+        }
+    }
 }
 
-/// Holds a program against the plan; one line a rule.
-pub fn check_program(_job: &Job, _verdict: &Verdict, _text: &str, _ctx: &Ctx) -> Result<Vec<RuleLine>, Failure> {
-    Ok(vec![RuleLine { rule: "program".into(), passed: true, figure: "fine".into() }])
+fn attempt(job: &Job, verdict: &Verdict, ctx: &Ctx) -> Result<(Program, CheckReport), PostError> {
+    let plan = &verdict.plan;
+    let paths = match verdict.clone().into_verified() {
+        Ok(verified) => toolpath::for_plan(job, &verified, ctx)?,
+        Err(_) => toolpath::for_unverified(job, plan, ctx)?,
+    };
+    let program = gcode::post(job, plan, &paths, &plan_digest(job, plan))?;
+    let report = gcode::check(program.text(), job, plan, Some(&paths), ctx)?;
+    Ok((program, report))
+}
+
+/// Names a plan in its program: a digest of its steps.
+fn plan_digest(job: &Job, plan: &Plan) -> String {
+    let digests: Vec<String> = PlanFile::step_records(plan, &job.frame, &[])
+        .iter()
+        .map(|s| format!("{:?} {} {:?} {}", s.kind, s.tool, s.direction, s.region.sha256()))
+        .collect();
+    digest(digests.join("\n").as_bytes())
+}
+
+/// Holds a program's text against the plan.
+pub fn check_program(
+    job: &Job,
+    plan: &Plan,
+    text: &str,
+    ctx: &Ctx,
+) -> Result<Vec<RuleLine>, Failure> {
+    match gcode::check(text, job, plan, None, ctx) {
+        Ok(report) => Ok(program_rules(&report)),
+        Err(ToolpathError::Cancelled(_)) => Err(Failure::Interrupted),
+        Err(e) => Err(Failure::input(e)),
+    }
+}
+
+/// One line when the program passes, else one a broken rule with its first finding.
+fn program_rules(report: &CheckReport) -> Vec<RuleLine> {
+    if report.passed() {
+        let least = report.steps.iter().map(|s| s.coverage).fold(1.0, f64::min);
+        let figure = format!(
+            "{} lines, {:.1} min; at least {:.1} % of each region covered",
+            report.lines,
+            report.time_s() / 60.0,
+            100.0 * least
+        );
+        return vec![RuleLine { rule: "program".into(), passed: true, figure }];
+    }
+    let mut broken: Vec<_> = report.findings.iter().map(|f| f.rule).collect();
+    broken.sort_unstable();
+    broken.dedup();
+    let line = |rule| {
+        let mut of_rule = report.findings.iter().filter(|f| f.rule == rule);
+        let first =
+            of_rule.next().map_or(String::new(), |f| format!("line {}: {}", f.line, f.message));
+        let more = match of_rule.count() {
+            0 => String::new(),
+            n => format!("; and {n} more"),
+        };
+        RuleLine { rule: format!("program-{rule}"), passed: false, figure: first + &more }
+    };
+    broken.into_iter().map(line).collect()
 }

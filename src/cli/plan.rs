@@ -15,7 +15,7 @@ use hmplan::plan::{
     end_state,
 };
 use hmplan::report;
-use hmplan::verify::{Verdict, verify};
+use hmplan::verify::verify;
 use hmplan::voxel::{BitGrid, surface};
 use sha2::{Digest as _, Sha256};
 use std::sync::Arc;
@@ -56,15 +56,18 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     let (plan, mut figures) = pipeline::plan(&job, config, &ctx, &mut clock)?;
     figures.notes.extend(inputs::below_base(&job));
     let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
-    let program = if verdict.passed() || config.post_unverified {
-        Some(clock.time("toolpaths", || pipeline::post(&job, &verdict, &ctx))?)
+    let posted = if verdict.passed() || config.post_unverified {
+        clock.time("toolpaths", || pipeline::post(&job, &verdict, config.post_unverified, &ctx))?
     } else {
         figures.notes.push("No program was written, since the plan does not verify.".into());
-        None
+        pipeline::Posted::default()
     };
 
     let plan = &verdict.plan;
+    let mut rules = report::rule_lines(&verdict);
+    rules.extend(posted.rules);
     let mut summary = report::summarise(&job, &verdict, figures, clock.total());
+    summary.take_rules(rules.iter().map(|r| (r.rule.as_str(), r.passed)));
     summary.peak_memory_mib = peak_memory_mib();
     let file = PlanFile {
         schema: SCHEMA.into(),
@@ -77,23 +80,29 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
         tools: job.cutters.iter().chain(&job.nozzles).cloned().collect(),
         rules: job.rules,
         holdings: plan.holdings.clone(),
-        steps: PlanFile::step_records(
-            plan,
-            &job.frame,
-            program.as_ref().map_or(&[], |p| p.step_seconds.as_slice()),
-        ),
-        program: program.as_ref().map(|p| ProgramRecord {
+        steps: PlanFile::step_records(plan, &job.frame, &posted.step_seconds),
+        program: posted.text.as_ref().map(|text| ProgramRecord {
             path: output::PROGRAM.into(),
-            sha256: digest(p.text.as_bytes()),
-            lines: p.text.lines().count(),
+            sha256: digest(text.as_bytes()),
+            lines: text.lines().count(),
         }),
         summary,
     };
 
     ctx.check()?;
-    write(&destination, &file, &job, &verdict, program.as_ref().map(|p| p.text.as_str()), &ctx)?;
+    let page = report::page(&file, &job, plan, &rules)
+        .map_err(|e| Failure::Io(format!("the report cannot be made ({e:#})")))?;
+    let draft = destination.begin()?;
+    write_states(&draft, &job, plan, &ctx)?;
+    draft.write(output::REPORT, |out| out.write_all(page.as_bytes()))?;
+    if let Some(text) = &posted.text {
+        draft.write(output::PROGRAM, |out| out.write_all(text.as_bytes()))?;
+    }
+    draft.write(output::PLAN, |out| out.write_all(&file.to_json()))?;
+    ctx.check()?;
+    draft.publish()?;
     let location = report::residual_location(&job, &verdict);
-    summary::show(&file, &report::rule_lines(&verdict), location.as_deref(), output)?;
+    summary::show(&file, &rules, location.as_deref(), output)?;
     Ok(outcome(&file.summary))
 }
 
@@ -118,11 +127,7 @@ pub fn context(output: &OutputArgs, limit: Option<f64>, seed: u64) -> Result<Ctx
     Ok(Ctx::new(cancel, deadline, progress::fitting(output), seed))
 }
 
-fn prepare(
-    config: &PlanConfig,
-    ctx: &Ctx,
-    clock: &mut Clock,
-) -> Result<(Job, Inputs), Failure> {
+fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<(Job, Inputs), Failure> {
     let (mut initial, mut target) = clock.time("load", || -> Result<_, Failure> {
         Ok((Part::read(&config.initial)?, Part::read(&config.target)?))
     })?;
@@ -169,35 +174,8 @@ fn prepare(
     Ok((job, Inputs { initial: initial.record, target: target.record }))
 }
 
-fn write(
-    destination: &Destination,
-    file: &PlanFile,
-    job: &Job,
-    verdict: &Verdict,
-    program: Option<&str>,
-    ctx: &Ctx,
-) -> Result<(), Failure> {
-    let plan = &verdict.plan;
-    let page = report::page(file, job, plan, &report::rule_lines(verdict))
-        .map_err(|e| Failure::Io(format!("the report cannot be made ({e:#})")))?;
-    let draft = destination.begin()?;
-    write_states(&draft, job, plan, ctx)?;
-    draft.write(output::REPORT, |out| out.write_all(page.as_bytes()))?;
-    if let Some(text) = program {
-        draft.write(output::PROGRAM, |out| out.write_all(text.as_bytes()))?;
-    }
-    draft.write(output::PLAN, |out| out.write_all(&file.to_json()))?;
-    ctx.check()?;
-    draft.publish()
-}
-
 /// The workpiece after each step, and what was reused, removed and added in all.
-fn write_states(
-    draft: &output::Draft,
-    job: &Job,
-    plan: &Plan,
-    ctx: &Ctx,
-) -> Result<(), Failure> {
+fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Result<(), Failure> {
     ctx.begin("writing states", plan.steps.len() as u64 + 3);
     let mesh = |name: &str, grid: &BitGrid| -> Result<(), Failure> {
         ctx.check()?;
@@ -222,7 +200,8 @@ fn write_states(
         mesh(&format!("{:02}-{kind}", i + 1), &state)?;
     }
     let end = end_state(job, plan);
-    for (name, grid) in [("reused", &end.reused), ("removed", &end.removed), ("added", &end.added)] {
+    for (name, grid) in [("reused", &end.reused), ("removed", &end.removed), ("added", &end.added)]
+    {
         mesh(name, grid)?;
     }
     ctx.end();

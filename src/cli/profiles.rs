@@ -33,7 +33,9 @@ pub fn machine(action: &ProfileAction) -> Result<Exit, Failure> {
 pub fn tool(action: &ProfileAction) -> Result<Exit, Failure> {
     match action {
         ProfileAction::List => list(&Tool::builtin_names()),
-        ProfileAction::Show { name } => print_lines(&machine::describe_tool(&Tool::named_or_load(name).map_err(Failure::input)?)),
+        ProfileAction::Show { name } => print_lines(&machine::describe_tool(
+            &Tool::named_or_load(name).map_err(Failure::input)?,
+        )),
         ProfileAction::Check { file } => {
             let tool = Tool::load(file).map_err(Failure::input)?;
             report(file, &tool.name, &[])
@@ -49,10 +51,8 @@ fn print_lines(text: &str) -> Result<Exit, Failure> {
     print(format!("{}\n", text.trim_end()).as_bytes())
 }
 
-/// The outcome of a check: every complaint on a line, or that there is none.
-fn report(file: &Path, name: &str, complaints: &[String]) -> Result<Exit, Failure> {
-    if complaints.is_empty() {
-        return print_lines(&format!("{}: '{name}' is fine", file.display()));
-    }
-    Err(Failure::Input(format!("{}: {}", file.display(), complaints.join("; "))))
+/// The outcome of a check: its findings, one a line, or that there are none.
+fn report(file: &Path, name: &str, findings: &[String]) -> Result<Exit, Failure> {
+    let head = format!("{}: '{name}' can be used", file.display());
+    print_lines(&[&[head], findings].concat().join("\n"))
 }

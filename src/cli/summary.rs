@@ -50,11 +50,16 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
     if s.verified {
         row("verified", format!("all {} rules hold", rules.len()));
     }
-    row("removed", format!("{} in {} blocks", volume(s.removed_mm3), s.blocks_sm));
-    row("added", format!("{} in {} blocks", volume(s.added_mm3), s.blocks_am));
+    row("removed", format!("{} in {}", volume(s.removed_mm3), count(s.blocks_sm, "block")));
+    row("added", format!("{} in {}", volume(s.added_mm3), count(s.blocks_am, "block")));
     row(
         "steps",
-        format!("{}, {} changes of process, {} holdings", file.steps.len(), s.switches, s.holdings),
+        format!(
+            "{}, {} of process, {}",
+            file.steps.len(),
+            count(s.switches, "change"),
+            count(s.holdings, "holding")
+        ),
     );
     row("skin", format!("{} left for finishing", volume(s.skin_mm3)));
     match &file.program {
@@ -74,4 +79,8 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
 
 fn volume(mm3: f64) -> String {
     if mm3.abs() >= 100.0 { format!("{:.2} cm³", mm3 / 1000.0) } else { format!("{mm3:.1} mm³") }
+}
+
+fn count(n: usize, noun: &str) -> String {
+    format!("{n} {noun}{}", if n == 1 { "" } else { "s" })
 }

@@ -37,26 +37,37 @@ pub fn run(dir: &Path, output: &OutputArgs) -> Result<Exit, Failure> {
 
     let verdict = verify(&job, plan, &ctx)?;
     let mut rules = report::rule_lines(&verdict);
-    if let Some(text) = &program {
-        rules.extend(pipeline::check_program(&job, &verdict, text, &ctx)?);
+    match &program {
+        Some(text) => rules.extend(pipeline::check_program(&job, &verdict.plan, text, &ctx)?),
+        None => rules.extend(withheld(&file)),
     }
-    let again =
-        report::summarise(&job, &verdict, claimed(&file.summary), Seconds::default());
+    let mut again = report::summarise(&job, &verdict, claimed(&file.summary), Seconds::default());
+    again.take_rules(rules.iter().map(|r| (r.rule.as_str(), r.passed)));
     rules.push(file_rule(&file, &again, &verdict.plan, &job));
+    again.take_rules(rules.iter().map(|r| (r.rule.as_str(), r.passed)));
     let location = report::residual_location(&job, &verdict);
     report(file, again, &rules, location.as_deref(), output)
+}
+
+/// The rules for which a plan says its program was kept back.
+fn withheld(file: &PlanFile) -> Vec<RuleLine> {
+    let of_program = |r: &&String| r.starts_with("program");
+    let line = |rule: &String| RuleLine {
+        rule: rule.clone(),
+        passed: false,
+        figure: "no program was written for this reason".into(),
+    };
+    file.summary.failed_rules.iter().filter(of_program).map(line).collect()
 }
 
 /// Prints the rules, or the recomputed summary as JSON, and gives the exit code.
 fn report(
     mut file: PlanFile,
-    mut again: Summary,
+    again: Summary,
     rules: &[RuleLine],
     location: Option<&str>,
     output: &OutputArgs,
 ) -> Result<Exit, Failure> {
-    again.failed_rules = rules.iter().filter(|r| !r.passed).map(|r| r.rule.clone()).collect();
-    again.verified = again.failed_rules.is_empty();
     let exit = outcome(&again);
     if !output.json && !output.quiet {
         let mut text = String::new();
@@ -154,8 +165,7 @@ fn rebuild(dir: &Path, file: &PlanFile, ctx: &Ctx) -> Result<Job, Failure> {
             "the grid in {PLAN} is not the one its inputs and pitch make"
         )));
     }
-    let of_kind =
-        |kind| file.tools.iter().filter(|t| t.kind == kind).cloned().collect::<Vec<_>>();
+    let of_kind = |kind| file.tools.iter().filter(|t| t.kind == kind).cloned().collect::<Vec<_>>();
     Ok(Job {
         frame,
         initial: inputs::solid(&initial, &initial_mesh, &frame, ctx)?,
@@ -203,10 +213,13 @@ fn file_rule(file: &PlanFile, again: &Summary, plan: &Plan, job: &Job) -> RuleLi
     wrong.extend(differences(&expected, &file.summary));
     let figure = match wrong.first() {
         None => format!("{} steps and the summary agree with their regions", file.steps.len()),
-        Some(first) => format!("{first}{}", match wrong.len() - 1 {
-            0 => String::new(),
-            n => format!(" (and {n} more)"),
-        }),
+        Some(first) => format!(
+            "{first}{}",
+            match wrong.len() - 1 {
+                0 => String::new(),
+                n => format!(" (and {n} more)"),
+            }
+        ),
     };
     RuleLine { rule: "file".into(), passed: wrong.is_empty(), figure }
 }

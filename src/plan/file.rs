@@ -193,6 +193,15 @@ pub struct Seconds {
     pub total: Option<f64>,
 }
 
+impl Summary {
+    /// Takes over what every rule said, those of the program included.
+    pub fn take_rules<'a>(&mut self, rules: impl IntoIterator<Item = (&'a str, bool)>) {
+        let failed = rules.into_iter().filter(|(_, passed)| !passed);
+        self.failed_rules = failed.map(|(rule, _)| rule.to_string()).collect();
+        self.verified = self.failed_rules.is_empty();
+    }
+}
+
 impl Seconds {
     /// Adds the time of a stage by its name in the file; false for a name the file does not have.
     pub fn add(&mut self, stage: &str, seconds: f64) -> bool {

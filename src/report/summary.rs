@@ -41,10 +41,7 @@ pub fn rule_lines(verdict: &Verdict) -> Vec<RuleLine> {
 /// Where the largest lump of the residual lies in the target, in words; none without a residual.
 pub fn residual_location(job: &Job, verdict: &Verdict) -> Option<String> {
     let residual = &verdict.measures.residual;
-    let lumps = [
-        ("excess", &residual.excess_place),
-        ("missing", &residual.deficit_place),
-    ];
+    let lumps = [("excess", &residual.excess_place), ("missing", &residual.deficit_place)];
     let (what, lump) = lumps
         .into_iter()
         .filter_map(|(what, place)| {

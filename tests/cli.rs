@@ -1,0 +1,357 @@
+//! The command line from outside: what it prints, what it writes, what it returns.
+
+use assert_cmd::Command;
+use hmplan::plan::PlanFile;
+use predicates::prelude::*;
+use predicates::str::contains;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Coarse, so that a plan takes a second.
+const PITCH: &str = "0.8";
+
+fn hmplan() -> Command {
+    let mut command = Command::cargo_bin("hmplan").unwrap();
+    command.current_dir(env!("CARGO_MANIFEST_DIR"));
+    command
+}
+
+/// `hmplan plan` on the bearing, into `dir`.
+fn plan(dir: &Path, more: &[&str]) -> Command {
+    let mut command = hmplan();
+    command
+        .args(["plan", "fixtures/bearing_initial.obj", "fixtures/bearing_target.obj"])
+        .args(["--setup", "keep", "--resolution", PITCH, "-o"])
+        .arg(dir)
+        .args(more);
+    command
+}
+
+/// Fails with exit code 1 and one message that contains `words`; nothing else, no panic.
+fn refused(command: &mut Command, words: &str) {
+    let output = command.output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains(words), "'{words}' is not in: {stderr}");
+    assert_eq!(stderr.matches("error:").count(), 1, "{stderr}");
+    assert!(!stderr.contains("panicked") && output.stdout.is_empty(), "{stderr}");
+}
+
+fn read_plan(dir: &Path) -> PlanFile {
+    PlanFile::from_json(&fs::read(dir.join("plan.json")).unwrap()).unwrap()
+}
+
+/// Every file below a directory, by its relative name.
+fn files(dir: &Path) -> Vec<PathBuf> {
+    fn walk(dir: &Path, top: &Path, found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(dir).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                walk(&path, top, found);
+            } else {
+                found.push(path.strip_prefix(top).unwrap().to_path_buf());
+            }
+        }
+    }
+    let mut found = Vec::new();
+    walk(dir, dir, &mut found);
+    found.sort();
+    found
+}
+
+#[test]
+fn help_and_version_are_no_errors() {
+    hmplan().arg("--version").assert().success().stdout(contains("hmplan "));
+    hmplan().args(["plan", "--help"]).assert().success().stdout(contains("--resolution"));
+    hmplan().assert().code(1).stderr(contains("Usage"));
+}
+
+#[test]
+fn bad_flags_are_bad_usage() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    for (flags, words) in [
+        (&["--resolution", "0"][..], "above 0"),
+        (&["--resolution", "nan"], "above 0"),
+        (&["--tolerance=-1"], "not below 0"),
+        (&["--up", "w"], "possible values"),
+        (&["--threads", "0"], "1..=1024"),
+        (&["--machine", "no-such-machine"], "no-such-machine"),
+        (&["--sm-tool", "no-such-tool"], "no-such-tool"),
+        (&["--sm-tool", "w2v-nozzle"], "no cutter"),
+        (&["--am-tool", "w2v-nozzle", "--am-tool", "w2v-nozzle"], "twice"),
+        (&["--planner", "search"], "planner search is not in version"),
+        (&["--planner", "nullify"], "planner nullify is not in version"),
+        (&["--planner", "blocks"], "planner blocks is not in version"),
+        (&["--nonsense"], "--nonsense"),
+        (&["-q", "-v"], "cannot be used with"),
+    ] {
+        let mut command = hmplan();
+        command.args(["plan", "a.stl", "b.stl", "-o"]).arg(&dir).args(flags);
+        refused(&mut command, words);
+    }
+    assert!(!dir.exists());
+}
+
+#[test]
+fn bad_parts_are_bad_input() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    let part = |name: &str, bytes: &[u8]| {
+        let path = out.path().join(name);
+        fs::write(&path, bytes).unwrap();
+        path
+    };
+    let mut header_only = vec![0; 84];
+    header_only[80..].copy_from_slice(&u32::MAX.to_le_bytes());
+    let flat = b"v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\n";
+    for (path, words) in [
+        (out.path().join("gone.stl"), "gone.stl"),
+        (part("empty.obj", b""), "empty.obj"),
+        (part("huge.stl", &header_only), "huge.stl"),
+        (part("points.obj", b"v 0 0 0\nv 1 0 0\n"), "points.obj"),
+        (part("flat.obj", flat), "flat.obj"),
+        (part("words.txt", b"not a mesh at all"), "words.txt"),
+        (out.path().to_path_buf(), "directory"),
+    ] {
+        let mut command = hmplan();
+        command.arg("plan").arg(&path).args(["fixtures/bearing_target.obj", "--setup", "keep"]);
+        command.args(["--resolution", "1", "-q", "-o"]).arg(&dir);
+        refused(&mut command, words);
+    }
+    assert!(!dir.exists());
+}
+
+#[test]
+fn one_part_asks_for_a_planner_this_version_lacks() {
+    let out = tempfile::tempdir().unwrap();
+    let mut command = hmplan();
+    command.args(["plan", "fixtures/bearing_target.obj", "-o"]).arg(out.path().join("d"));
+    refused(&mut command, "give two parts");
+}
+
+#[test]
+fn a_grid_beyond_all_memory_is_refused_at_once() {
+    let out = tempfile::tempdir().unwrap();
+    let mut command = hmplan();
+    command.args(["plan", "fixtures/bearing_initial.obj", "fixtures/bearing_target.obj"]);
+    command.args(["--setup", "keep", "--unit", "m", "--resolution", "0.01", "-o"]);
+    command.arg(out.path().join("d"));
+    refused(&mut command, "--resolution");
+}
+
+#[test]
+fn commands_of_later_versions_say_so() {
+    refused(hmplan().args(["stream", "out.gcode", "--port", "/dev/null"]), "not in version");
+    let mut analyze = hmplan();
+    analyze.args(["analyze", "part.stl", "--tool", "w2v-cutter", "--direction", "-1,0,0"]);
+    refused(&mut analyze, "not in version");
+}
+
+#[test]
+fn a_slip_in_a_profile_is_named_with_its_place() {
+    let home = tempfile::tempdir().unwrap();
+    let path = home.path().join("mill.toml");
+    let good = "name = \"mill\"\nkind = \"subtractive\"\n[[section]]\nshape = \"ball\"\n\
+                radius = 2.0\nactive = true\n";
+    fs::write(&path, good).unwrap();
+    hmplan().args(["tool", "check"]).arg(&path).assert().success().stdout(contains("mill"));
+    fs::write(&path, good.replace("radius", "radios")).unwrap();
+    refused(hmplan().args(["tool", "check"]).arg(&path), "radios");
+    fs::write(&path, good.replace("2.0", "-2.0")).unwrap();
+    refused(hmplan().args(["tool", "check"]).arg(&path), "-2");
+    fs::write(&path, "name = ").unwrap();
+    refused(hmplan().args(["machine", "check"]).arg(&path), "mill.toml:1:");
+}
+
+#[test]
+fn profiles_are_listed_and_shown() {
+    let list = hmplan().args(["machine", "list"]).assert().success();
+    list.stdout(contains("generic-5axis"));
+    hmplan().args(["machine", "show", "generic-5axis"]).assert().success();
+    let tools = hmplan().args(["tool", "list"]).output().unwrap();
+    for name in String::from_utf8(tools.stdout).unwrap().lines() {
+        hmplan().args(["tool", "show", name]).assert().success().stdout(contains(name));
+    }
+    refused(hmplan().args(["tool", "show", "excavator"]), "w2v-cutter");
+}
+
+#[test]
+fn schemas_and_completions_are_printed() {
+    for of in ["plan", "machine", "tool"] {
+        let output = hmplan().args(["schema", of]).output().unwrap();
+        let schema: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        jsonschema::validator_for(&schema).unwrap();
+    }
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        hmplan().args(["completions", shell]).assert().success().stdout(contains("hmplan"));
+    }
+}
+
+#[test]
+fn a_plan_is_written_whole_and_obeys_its_schema() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    let run = plan(&dir, &[]).assert().code(0);
+    run.stdout(predicate::str::starts_with("reused ")).stderr("");
+    let names: Vec<String> = files(&dir).iter().map(|p| p.display().to_string()).collect();
+    let file = read_plan(&dir);
+    for name in ["out.gcode", "plan.json", "report.html", "states/reused.stl"] {
+        assert!(names.iter().any(|n| n == name), "{name} is missing in {names:?}");
+    }
+    assert_eq!(names.len(), 6 + file.steps.len(), "{names:?}");
+    assert!(file.summary.verified && file.program.is_some());
+
+    let schema = hmplan().args(["schema", "plan"]).output().unwrap().stdout;
+    let schema: serde_json::Value = serde_json::from_slice(&schema).unwrap();
+    let text = fs::read(dir.join("plan.json")).unwrap();
+    let value: serde_json::Value = serde_json::from_slice(&text).unwrap();
+    let validator = jsonschema::validator_for(&schema).unwrap();
+    if let Some(e) = validator.iter_errors(&value).next() {
+        panic!("{e} at {}", e.instance_path());
+    }
+    let page = fs::read_to_string(dir.join("report.html")).unwrap();
+    assert!(page.matches("<svg").count() == file.steps.len() && !page.contains("http"));
+}
+
+#[test]
+fn json_is_the_only_thing_on_standard_output() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    let output = plan(&dir, &["--json", "-v"]).output().unwrap();
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let file = serde_json::to_value(read_plan(&dir).summary).unwrap();
+    assert_eq!(summary, file);
+    assert!(!output.stderr.is_empty(), "-v logs to standard error");
+    let silent = plan(&dir, &["-q"]).output().unwrap();
+    assert!(silent.stdout.is_empty() && silent.stderr.is_empty());
+}
+
+#[test]
+fn threads_do_not_change_a_byte() {
+    let out = tempfile::tempdir().unwrap();
+    let [one, two] = ["1", "2"].map(|n| {
+        let dir = out.path().join(n);
+        plan(&dir, &["--threads", n, "-q"]).assert().code(0);
+        dir
+    });
+    assert_eq!(files(&one), files(&two));
+    for name in files(&one) {
+        let same = if name == Path::new("plan.json") {
+            let [a, b] = [&one, &two].map(|d| read_plan(d).canonical_without_timings());
+            a == b
+        } else {
+            fs::read(one.join(&name)).unwrap() == fs::read(two.join(&name)).unwrap()
+        };
+        assert!(same, "{} differs", name.display());
+    }
+}
+
+#[test]
+fn the_same_part_twice_needs_no_step() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    let part = "fixtures/bearing_target.obj";
+    let mut command = hmplan();
+    command.args(["plan", part, part, "--setup", "keep", "--resolution", PITCH, "-o"]).arg(&dir);
+    command.assert().code(0);
+    let file = read_plan(&dir);
+    assert!(file.steps.is_empty());
+    assert_eq!((file.summary.reuse_final, file.summary.residual_mm3), (1.0, 0.0));
+    hmplan().arg("verify").arg(&dir).assert().code(0);
+}
+
+#[test]
+fn a_failed_run_leaves_the_earlier_plan_untouched() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    plan(&dir, &["-q"]).assert().code(0);
+    let before: Vec<_> = files(&dir).iter().map(|n| fs::read(dir.join(n)).unwrap()).collect();
+    let mut failing = hmplan();
+    failing.args(["plan", "fixtures/bearing_initial.obj", "no-such.obj", "-o"]).arg(&dir);
+    refused(&mut failing, "no-such.obj");
+    let after: Vec<_> = files(&dir).iter().map(|n| fs::read(dir.join(n)).unwrap()).collect();
+    assert!(before == after);
+    assert_eq!(fs::read_dir(out.path()).unwrap().count(), 1, "no litter beside it");
+    // A later plan leaves nothing of the earlier one.
+    fs::write(dir.join("states/99-additive.stl"), "stale").unwrap();
+    plan(&dir, &["-q"]).assert().code(0);
+    assert!(!dir.join("states/99-additive.stl").exists());
+}
+
+#[test]
+fn a_directory_of_something_else_is_refused() {
+    let out = tempfile::tempdir().unwrap();
+    fs::write(out.path().join("thesis.tex"), "years of work").unwrap();
+    refused(&mut plan(out.path(), &[]), "holds no earlier plan");
+    assert_eq!(files(out.path()), [Path::new("thesis.tex")]);
+}
+
+#[test]
+fn verify_fails_after_any_change() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    plan(&dir, &["-q"]).assert().code(0);
+    let verify = || {
+        let output = hmplan().arg("verify").arg(&dir).output().unwrap();
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.code(), String::from_utf8(text).unwrap())
+    };
+    let (code, text) = verify();
+    assert_eq!(code, Some(0), "{text}");
+    for rule in ["content", "tool-access", "support", "stability", "machine", "end", "program"] {
+        assert!(text.contains(rule), "{rule} is not in {text}");
+    }
+    let plan_text = fs::read_to_string(dir.join("plan.json")).unwrap();
+    let change = |from: &str, to: &str, words: &str| {
+        assert!(plan_text.contains(from), "{from}");
+        fs::write(dir.join("plan.json"), plan_text.replacen(from, to, 1)).unwrap();
+        let (code, text) = verify();
+        fs::write(dir.join("plan.json"), &plan_text).unwrap();
+        assert_eq!(code, Some(2), "{from}: {text}");
+        assert!(text.contains(words), "'{words}' is not in {text}");
+    };
+    let file = read_plan(&dir);
+    let voxels = file.steps[0].voxels;
+    change("\"rows\":[[", "\"rows\":[[1", "region was altered");
+    change(&format!("\"voxels\": {voxels}"), &format!("\"voxels\": {}", voxels + 1), "step 1");
+    change("\"switches\": ", "\"switches\": 1", "summary.switches");
+    change(&file.inputs.target.sha256, &"0".repeat(64), "bearing_target.obj");
+
+    let program = fs::read_to_string(dir.join("out.gcode")).unwrap();
+    let altered = program.replacen("G1 Z", "G1 Z-", 1);
+    assert_ne!(program, altered);
+    fs::write(dir.join("out.gcode"), &altered).unwrap();
+    let (code, text) = verify();
+    assert_eq!(code, Some(2), "{text}");
+    assert!(text.contains("out.gcode was altered"), "{text}");
+    // A forger who mends the digest as well is caught by what the program does.
+    let forged = plan_text.replace(&sha256(program.as_bytes()), &sha256(altered.as_bytes()));
+    fs::write(dir.join("plan.json"), forged).unwrap();
+    let (code, text) = verify();
+    assert_eq!(code, Some(2), "{text}");
+    assert!(text.contains("FAILED  program-"), "{text}");
+}
+
+fn sha256(bytes: &[u8]) -> String {
+    use sha2::Digest as _;
+    sha2::Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[test]
+fn verify_refuses_what_is_no_plan() {
+    let out = tempfile::tempdir().unwrap();
+    refused(hmplan().arg("verify").arg(out.path()), "plan.json");
+    fs::write(out.path().join("plan.json"), "{\"schema\": \"hmplan-plan/9\"}").unwrap();
+    refused(hmplan().arg("verify").arg(out.path()), "hmplan-plan/9");
+    fs::write(out.path().join("plan.json"), "[".repeat(100_000)).unwrap();
+    refused(hmplan().arg("verify").arg(out.path()), "line 1");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_directory_that_cannot_be_made_is_an_io_failure() {
+    let out = plan(Path::new("/proc/hmplan/d"), &[]).output().unwrap();
+    assert_eq!(out.status.code(), Some(3));
+    assert!(String::from_utf8(out.stderr).unwrap().contains("/proc/hmplan"));
+}
