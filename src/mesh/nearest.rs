@@ -74,8 +74,7 @@ impl<'a> NearestTriangle<'a> {
     fn each_cell(&self, lo: [usize; 3], hi: [usize; 3]) -> impl Iterator<Item = usize> + use<> {
         let [nx, ny, _] = self.dims;
         (lo[2]..=hi[2]).flat_map(move |z| {
-            (lo[1]..=hi[1])
-                .flat_map(move |y| (lo[0]..=hi[0]).map(move |x| x + nx * (y + ny * z)))
+            (lo[1]..=hi[1]).flat_map(move |y| (lo[0]..=hi[0]).map(move |x| x + nx * (y + ny * z)))
         })
     }
 
@@ -142,7 +141,8 @@ mod tests {
         let index = NearestTriangle::new(&m, 1.0);
         for i in 0..1000 {
             let f = |k: usize, n: usize| (i * k % n) as f64 / n as f64;
-            let p = DVec3::new(f(37, 101) * 4.0 - 0.5, f(53, 103) * 3.0 - 0.5, f(71, 107) * 6.0 - 0.5);
+            let p =
+                DVec3::new(f(37, 101) * 4.0 - 0.5, f(53, 103) * 3.0 - 0.5, f(71, 107) * 6.0 - 0.5);
             let full = (0..m.triangles().len())
                 .map(|t| closest_on_triangle(p, m.corners(t)).distance(p))
                 .fold(f64::INFINITY, f64::min);

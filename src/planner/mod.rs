@@ -12,7 +12,9 @@ use crate::base::Cancelled;
 pub enum PlanError {
     #[error("interrupted")]
     Cancelled,
-    #[error("the {which} part is empty on the grid: it has no voxel at pitch {pitch_mm} mm; set a finer --resolution or check the units")]
+    #[error(
+        "the {which} part is empty on the grid: it has no voxel at pitch {pitch_mm} mm; set a finer --resolution or check the units"
+    )]
     EmptyPart { which: &'static str, pitch_mm: f64 },
     #[error("no {kind} tool: the machine has none and none was named")]
     NoTool { kind: &'static str },

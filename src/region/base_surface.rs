@@ -118,11 +118,7 @@ fn base_of(voxels: &[[usize; 3]], index: &NearestTriangle, frame: &Frame) -> Pri
 }
 
 /// Grows facets over neighbouring base voxels; None where a voxel's normal is unknown.
-fn segment(
-    voxels: &[[usize; 3]],
-    samples: &[(DVec3, DVec3)],
-    pitch: f64,
-) -> Vec<Option<usize>> {
+fn segment(voxels: &[[usize; 3]], samples: &[(DVec3, DVec3)], pitch: f64) -> Vec<Option<usize>> {
     let at: std::collections::HashMap<[usize; 3], usize> =
         voxels.iter().enumerate().map(|(i, v)| (*v, i)).collect();
     let least_cosine = FACET_ANGLE_DEG.to_radians().cos();
@@ -162,7 +158,8 @@ fn neighbours(v: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
 /// The facet through its members: mean normal, highest offset (nothing of it stands above).
 fn fit(members: &[usize], samples: &[(DVec3, DVec3)]) -> Option<Facet> {
     let normal = Direction::new(members.iter().map(|&i| samples[i].1).sum()).ok()?;
-    let offset = members.iter().map(|&i| normal.dot(samples[i].0)).sum::<f64>() / members.len() as f64;
+    let offset =
+        members.iter().map(|&i| normal.dot(samples[i].0)).sum::<f64>() / members.len() as f64;
     Some(Facet { normal, offset, voxels: members.len() })
 }
 
@@ -171,10 +168,15 @@ mod tests {
     use super::*;
 
     /// Bases of a solid given as mesh, with `added` above it.
-    fn bases(mesh: &TriMesh, solid: impl Fn(DVec3) -> bool + Sync, added: impl Fn(DVec3) -> bool + Sync) -> Vec<PrintingBase> {
+    fn bases(
+        mesh: &TriMesh,
+        solid: impl Fn(DVec3) -> bool + Sync,
+        added: impl Fn(DVec3) -> bool + Sync,
+    ) -> Vec<PrintingBase> {
         let frame = Frame { pitch: 0.5, dims: [44, 44, 44], origin: DVec3::splat(-1.0) };
         let reused = BitGrid::from_fn(frame.dims, |v| solid(frame.center(v)));
-        let added = BitGrid::from_fn(frame.dims, |v| added(frame.center(v)) && !solid(frame.center(v)));
+        let added =
+            BitGrid::from_fn(frame.dims, |v| added(frame.center(v)) && !solid(frame.center(v)));
         printing_bases(&reused, &added, mesh, &frame)
     }
 
@@ -195,9 +197,13 @@ mod tests {
     #[test]
     fn two_separate_bases_are_two_and_an_inner_corner_is_not_convex() {
         let m = TriMesh::cuboid(DVec3::ZERO, DVec3::new(20.0, 20.0, 10.0));
-        let inside = |p: DVec3| p.cmpgt(DVec3::ZERO).all() && p.cmplt(DVec3::new(20.0, 20.0, 10.0)).all();
+        let inside =
+            |p: DVec3| p.cmpgt(DVec3::ZERO).all() && p.cmplt(DVec3::new(20.0, 20.0, 10.0)).all();
         let two = bases(&m, inside, |p| {
-            p.z > 10.0 && p.y > 2.0 && p.y < 8.0 && ((2.0..6.0).contains(&p.x) || (12.0..16.0).contains(&p.x))
+            p.z > 10.0
+                && p.y > 2.0
+                && p.y < 8.0
+                && ((2.0..6.0).contains(&p.x) || (12.0..16.0).contains(&p.x))
         });
         assert_eq!(two.len(), 2);
         assert!(two.iter().all(|b| b.plano_convex));
@@ -215,14 +221,24 @@ mod tests {
         )
         .unwrap();
         let solid = |p: DVec3| {
-            p.cmpgt(DVec3::ZERO).all() && p.x < 20.0 && p.y < 20.0 && (p.z < 6.0 || (p.x > 10.0 && p.z < 14.0))
+            p.cmpgt(DVec3::ZERO).all()
+                && p.x < 20.0
+                && p.y < 20.0
+                && (p.z < 6.0 || (p.x > 10.0 && p.z < 14.0))
         };
-        let corner = bases(&step, solid, |p| p.z > 6.0 && p.z < 12.0 && p.x > 4.0 && p.x < 10.0 && p.y > 4.0 && p.y < 16.0);
+        let corner = bases(&step, solid, |p| {
+            p.z > 6.0 && p.z < 12.0 && p.x > 4.0 && p.x < 10.0 && p.y > 4.0 && p.y < 16.0
+        });
         assert_eq!(corner.len(), 1);
         assert!(!corner[0].plano_convex, "a valley is not convex");
         let roof = bases(&step, solid, |p| {
             // Around the outer edge of the wall: top and side, seen from outside convex.
-            (p.z > 14.0 || p.x > 20.0) && p.z < 16.0 && p.x > 15.0 && p.z > 11.0 && p.y > 4.0 && p.y < 16.0
+            (p.z > 14.0 || p.x > 20.0)
+                && p.z < 16.0
+                && p.x > 15.0
+                && p.z > 11.0
+                && p.y > 4.0
+                && p.y < 16.0
         });
         assert_eq!(roof.len(), 1);
         assert!(roof[0].plano_convex && roof[0].facets.len() == 2, "{roof:?}");

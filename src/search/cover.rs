@@ -41,11 +41,8 @@ pub fn set_cover(elements: usize, sets: &[WeightedSet]) -> Result<Vec<usize>, Co
     // A tiny surcharge per set prefers fewer sets among equal weights; it is far below any
     // difference of real weights (fractions of a volume with at most 10⁷ voxels).
     const SET_SURCHARGE: f64 = 1e-9;
-    let objective: Expression = columns
-        .iter()
-        .zip(&chosen)
-        .map(|(&c, v)| (sets[c].weight + SET_SURCHARGE) * *v)
-        .sum();
+    let objective: Expression =
+        columns.iter().zip(&chosen).map(|(&c, v)| (sets[c].weight + SET_SURCHARGE) * *v).sum();
     let mut model = variables.minimise(objective).using(microlp);
     for &e in &rows {
         let coverers: Expression = columns
@@ -100,9 +97,10 @@ fn undominated(elements: usize, sets: &[WeightedSet]) -> Vec<usize> {
 fn decisive_elements(elements: usize, sets: &[WeightedSet], columns: &[usize]) -> Vec<usize> {
     let coverers: Vec<Bits> = (0..elements)
         .map(|e| {
-            let covering = columns.iter().enumerate().filter(|(_, c)| {
-                sets[**c].covers.binary_search(&e).is_ok()
-            });
+            let covering = columns
+                .iter()
+                .enumerate()
+                .filter(|(_, c)| sets[**c].covers.binary_search(&e).is_ok());
             bits(columns.len(), covering.map(|(i, _)| i))
         })
         .collect();
@@ -134,7 +132,9 @@ mod tests {
                     (0..sets.len()).any(|i| mask >> i & 1 == 1 && sets[i].covers.contains(&e))
                 })
             })
-            .map(|mask| (0..sets.len()).filter(|i| mask >> i & 1 == 1).map(|i| sets[i].weight).sum())
+            .map(|mask| {
+                (0..sets.len()).filter(|i| mask >> i & 1 == 1).map(|i| sets[i].weight).sum()
+            })
             .fold(f64::INFINITY, f64::min)
     }
 

@@ -56,8 +56,7 @@ pub fn cover(
     let coverable: Vec<usize> = (0..elements.len())
         .filter(|e| candidates.iter().any(|c| c.set.covers.binary_search(e).is_ok()))
         .collect();
-    let uncovered =
-        (0..elements.len()).filter(|e| coverable.binary_search(e).is_err()).collect();
+    let uncovered = (0..elements.len()).filter(|e| coverable.binary_search(e).is_err()).collect();
     let sets: Vec<WeightedSet> = candidates
         .iter()
         .map(|c| WeightedSet {

@@ -76,10 +76,8 @@ fn bounds<'a>(
     let frame = &setting.job.frame;
     let scene = Scene::new(frame, kept, fixed);
     let Some(within) = world_extent(wanted, frame) else { return Ok(Vec::new()) };
-    let pairs: Vec<(Direction, &Tool)> = directions
-        .iter()
-        .flat_map(|d| setting.job.cutters.iter().map(move |t| (*d, t)))
-        .collect();
+    let pairs: Vec<(Direction, &Tool)> =
+        directions.iter().flat_map(|d| setting.job.cutters.iter().map(move |t| (*d, t))).collect();
     pairs
         .into_par_iter()
         .map(|(direction, tool)| {

@@ -129,8 +129,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let mut best: Option<Attempt> = None;
     for round in 0..ROUNDS {
         ctx.check()?;
-        let attempt =
-            attempt(&setting, planes.clone(), &preferred, options, &mut clock, ctx)?;
+        let attempt = attempt(&setting, planes.clone(), &preferred, options, &mut clock, ctx)?;
         if round == 0 {
             let share = attempt.volumes.reused.count() as f64 / job.target.count() as f64;
             report.reuse_initial = share;
@@ -190,14 +189,7 @@ fn volumes(job: &Job, planes: &[Plane]) -> Volumes {
         reusable.subtract(&cut);
     }
     let rules = &job.rules;
-    Volumes::keeping(
-        &job.initial,
-        &job.target,
-        &reusable,
-        &job.frame,
-        rules.holding,
-        rules.grip_mm,
-    )
+    Volumes::keeping(&job.initial, &job.target, &reusable, &job.frame, rules.holding, rules.grip_mm)
 }
 
 /// Removed and added material that counts: the removed beyond skin, and every body of the added
@@ -237,8 +229,7 @@ fn attempt(
     along.extend_from_slice(preferred);
     let cutting = cut_blocks(setting, &volumes.removed, &deep_removed, options.directions, ctx)?;
     clock.lap("blocks_cut");
-    let printing =
-        print_blocks(setting, &cutting.state, &added, &along, options.directions, ctx)?;
+    let printing = print_blocks(setting, &cutting.state, &added, &along, options.directions, ctx)?;
     clock.lap("blocks_print");
     let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
     let deficit = printing.unreached.minus(&skin);
@@ -249,7 +240,8 @@ fn attempt(
 /// Normals of candidate planes: the upper hemisphere, or the sphere where steps may refixture.
 fn plane_normals(job: &Job, count: usize) -> Vec<Direction> {
     let all = fibonacci_sphere(2 * count);
-    let mut normals = vec![Direction::Z, Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y];
+    let mut normals =
+        vec![Direction::Z, Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y];
     match job.rules.holding {
         HoldingMode::Base => normals.extend(all.into_iter().filter(|d| d.vec().z >= 0.0)),
         HoldingMode::Refixture => {

@@ -71,9 +71,7 @@ fn ways<'a>(setting: &Setting<'a>, directions: &[Direction]) -> Vec<Way<'a>> {
         let Some(holding) = (0..setting.holdings.len()).find(|h| setting.can_point(*h, *d)) else {
             continue;
         };
-        ways.extend(
-            setting.job.nozzles.iter().map(|tool| Way { direction: *d, holding, tool }),
-        );
+        ways.extend(setting.job.nozzles.iter().map(|tool| Way { direction: *d, holding, tool }));
     }
     ways
 }
@@ -167,11 +165,8 @@ impl<'a> Sweeper<'_, 'a> {
             .map(|(way, clear)| {
                 ctx.check()?;
                 let clear = clear.and(left);
-                let region = if clear.is_empty() {
-                    clear
-                } else {
-                    self.sweep(way, &clear, left, &standing)
-                };
+                let region =
+                    if clear.is_empty() { clear } else { self.sweep(way, &clear, left, &standing) };
                 Ok((region.count(), region))
             })
             .collect::<Result<_, Cancelled>>()?;

@@ -53,8 +53,7 @@ impl<'a> Setting<'a> {
     /// The grid axes of a holding, up first, its downward one left out.
     pub fn axes(&self, holding: usize) -> Vec<Direction> {
         let up = self.holdings[holding].up;
-        let all =
-            [up, Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y];
+        let all = [up, Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y];
         all.into_iter().filter(|d| self.can_point(holding, *d)).collect()
     }
 
