@@ -89,7 +89,7 @@ fn mesh_volumes_agree_with_manifold() {
 }
 
 /// Grids per pair, each shifted by a further part of the pitch. A flat face between two layers of
-/// centres makes one grid err by up to half a pitch times its area (1.1 % on these parts), whatever
+/// centres makes one grid err by up to half a pitch times its area (1.4 % on these parts), whatever
 /// the voxeliser; over evenly shifted grids that averages out, and what is left (0.4 %) is not.
 const SHIFTS: usize = 4;
 
