@@ -9,12 +9,15 @@
 //! coincide with cell centres and nothing is lost. Sections wider than [`WIDEST_CELLS`] cells are
 //! treated on an image pooled by a power of two, where both the point and the tip may be
 //! anywhere in their cell.
+//!
+//! A map is made for the voxels of one set and answers for these alone: only the cells under them
+//! are computed, so that a handful of voxels scattered over a part costs a handful of kernels.
 
 use super::Scene;
+use super::filter::{Image, Kernel, Op, Spans, filter};
 use crate::base::{Aabb, DVec2, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
-use crate::voxel::Frame;
-use rayon::prelude::*;
+use crate::voxel::{BitGrid, Frame};
 
 /// Largest radius of a section in cells of the image it is treated on. Larger is slower by its
 /// square; smaller makes wide sections wider than they are (by at most √2/12 at this value).
@@ -31,7 +34,9 @@ pub struct DepthMap {
 }
 
 impl DepthMap {
-    /// Whether the point at `p` may be cut (or deposited) along the map's direction.
+    /// Whether the point at `p` may be cut (or deposited) along the map's direction. `p` is the
+    /// centre of a voxel of the set the map was made for; of any other point the answer is no.
+    #[inline]
     pub fn reaches(&self, p: DVec3) -> bool {
         match self.lattice.cell(self.plane.across(p)) {
             Some(c) => self.plane.height(p) as f32 >= self.lowest[c] + ROUNDING_MM,
@@ -83,10 +88,17 @@ impl Lattice {
     /// The cell nearest to (u, v).
     #[inline]
     fn cell(&self, uv: DVec2) -> Option<usize> {
-        let i = ((uv.x - self.first.x) / self.spacing + 0.5).floor();
-        let j = ((uv.y - self.first.y) / self.spacing + 0.5).floor();
-        let inside = i >= 0.0 && j >= 0.0 && i < self.nu as f64 && j < self.nv as f64;
-        inside.then(|| i as usize + self.nu * j as usize)
+        let at = (uv - self.first) / self.spacing + DVec2::splat(0.5);
+        // Truncation is the floor of what is not negative.
+        let (i, j) = (at.x as usize, at.y as usize);
+        let inside = at.x >= 0.0 && at.y >= 0.0 && i < self.nu && j < self.nv;
+        inside.then(|| i + self.nu * j)
+    }
+
+    /// How far cell (0, 0) of `other`, of the same spacing and phase, lies from this one's.
+    fn offset_of(&self, other: &Lattice) -> (isize, isize) {
+        let shift = ((other.first - self.first) / self.spacing).round();
+        (shift.x as isize, shift.y as isize)
     }
 }
 
@@ -101,136 +113,191 @@ fn rounding_cells(direction: Direction) -> f64 {
     if direction.is_grid_axis() { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 }
 }
 
-/// G of the depth engine: a voxel x in the box `within` can be cut along `direction` when
-/// x_z ≥ G at its cell.
-pub fn cutter_map(scene: &Scene, within: &Aabb, tool: &Tool, direction: Direction) -> DepthMap {
-    let plane = direction.image_plane();
-    let s = spacing(&scene.frame, direction);
-    let rounding = rounding_cells(direction);
-    let radius = tool.active_radius();
-    let lift: Vec<(Section, f64)> = tool.sections.iter().map(|sec| (*sec, 0.0)).collect();
-    let (window, free) = lowest_tip(scene, within, &plane, s, radius + s, &lift, rounding);
-    let mut kernel = Vec::new();
-    let reach = (radius / s).floor() as isize;
-    // A face mill spans hundreds of cells; every n-th tip of them suffices, since missing a tip
-    // only misses a position.
-    let stride = (reach as f64 / WIDEST_CELLS).ceil().max(1.0) as isize;
-    for j in (-reach..=reach).filter(|j| j % stride == 0) {
-        for i in (-reach..=reach).filter(|i| i % stride == 0) {
-            let rho = ((i * i + j * j) as f64).sqrt() * s + rounding * s;
-            let k = tool.active_lower_surface(rho);
-            if k.is_finite() {
-                kernel.push((i, j, k as f32));
-            }
-        }
-    }
-    let mut lowest = vec![f32::INFINITY; window.nu * window.nv];
-    filter(&window, &free, &window, &mut lowest, &kernel, |best, h, k| {
-        let g = h + k;
-        if g < *best {
-            *best = g
-        }
-    });
-    DepthMap { plane, lattice: window, lowest }
+/// A direction's look at a scene, for the voxels of one set.
+struct View<'a> {
+    scene: &'a Scene,
+    wanted: &'a BitGrid,
+    plane: ImagePlane,
+    /// Box of the wanted voxels.
+    within: Aabb,
+    spacing: f64,
 }
 
-/// H of a nozzle whose tip stands at the deposited voxel: x in the box `within` can be deposited
-/// when x_z ≥ H at its cell. Sections that reach the tip may stand `dip_mm` lower than the
-/// obstacles allow.
+impl<'a> View<'a> {
+    fn new(scene: &'a Scene, wanted: &'a BitGrid, direction: Direction) -> Self {
+        let half = DVec3::splat(scene.frame.pitch / 2.0);
+        // Of an empty set nothing is asked; one voxel stands for it.
+        let (lo, hi) = wanted.extent().unwrap_or_default();
+        View {
+            scene,
+            wanted,
+            plane: direction.image_plane(),
+            within: Aabb { min: scene.frame.center(lo) - half, max: scene.frame.center(hi) + half },
+            spacing: spacing(&scene.frame, direction),
+        }
+    }
+
+    fn lattice(&self, margin: f64, pool: usize) -> Lattice {
+        Lattice::around(&self.scene.frame, &self.within, &self.plane, self.spacing, margin, pool)
+    }
+
+    /// The cells under the wanted voxels.
+    fn under(&self, lattice: &Lattice) -> Spans {
+        let mut under = vec![false; lattice.nu * lattice.nv];
+        for v in self.wanted.iter_ones() {
+            if let Some(c) = lattice.cell(self.plane.across(self.scene.frame.center(v))) {
+                under[c] = true;
+            }
+        }
+        Spans::of(&under, lattice.nu)
+    }
+
+    /// Highest point per cell, mm.
+    fn depth_image(&self, lattice: &Lattice) -> Vec<f32> {
+        let mut image = vec![f32::NEG_INFINITY; lattice.nu * lattice.nv];
+        for p in self.scene.points() {
+            if let Some(c) = lattice.cell(self.plane.across(*p)) {
+                let z = self.plane.height(*p) as f32;
+                if z > image[c] {
+                    image[c] = z;
+                }
+            }
+        }
+        image
+    }
+
+    /// H at the `tips` of the window `margin` mm around the wanted voxels: max over obstacle
+    /// points of o_z − f(ρ) − lift, section by section.
+    fn lowest_tip(
+        &self,
+        margin: f64,
+        tips: &Spans,
+        sections: &[(Section, f64)],
+        rounding_cells: f64,
+    ) -> Vec<f32> {
+        let window = self.lattice(margin, 1);
+        // A cell that is not computed is closed, whoever asks.
+        let mut lowest = vec![f32::INFINITY; window.nu * window.nv];
+        for (row, spans) in lowest.chunks_mut(window.nu).zip(tips.rows()) {
+            spans.iter().for_each(|s| row[s.clone()].fill(f32::NEG_INFINITY));
+        }
+        let mut images: Vec<(usize, Lattice, Vec<f32>)> = Vec::new();
+        for (i, part @ (section, lift)) in sections.iter().enumerate() {
+            if sections[..i].iter().any(|before| shadows(before, part)) {
+                continue;
+            }
+            if let Shape::Platform { z } = section.shape {
+                let heights = self.scene.points().iter().map(|p| self.plane.height(*p));
+                let floor = (heights.fold(f64::MIN, f64::max) - z - lift) as f32;
+                lowest.iter_mut().for_each(|h| *h = h.max(floor));
+                continue;
+            }
+            let radius = section.shape.max_radius();
+            let mut pool = 1;
+            while radius / (self.spacing * pool as f64) > WIDEST_CELLS {
+                pool *= 2;
+            }
+            if !images.iter().any(|(p, ..)| *p == pool) {
+                // One image per pooling, wide enough for every section treated on it.
+                let wide = margin + (WIDEST_CELLS + 2.0) * pool as f64 * self.spacing;
+                let lattice = self.lattice(wide, pool);
+                images.push((pool, lattice, self.depth_image(&lattice)));
+            }
+            let Some((_, lattice, image)) = images.iter().find(|(p, ..)| *p == pool) else {
+                continue;
+            };
+            let cells = if pool == 1 {
+                rounding_cells
+            } else {
+                // Point and tip may each be half a diagonal from their cell's centre.
+                std::f64::consts::SQRT_2
+            };
+            let kernel = section_kernel(&section.shape, *lift, lattice.spacing, cells);
+            let image = Image { width: lattice.nu, cells: image };
+            if pool == 1 {
+                let at = lattice.offset_of(&window);
+                filter(Op::Max, &image, at, window.nu, &mut lowest, tips, &kernel);
+            } else {
+                let coarse = self.lattice(margin + self.spacing, pool);
+                let mut pooled = vec![f32::NEG_INFINITY; coarse.nu * coarse.nv];
+                let all = Spans::all(coarse.nu, coarse.nv);
+                let at = lattice.offset_of(&coarse);
+                filter(Op::Max, &image, at, coarse.nu, &mut pooled, &all, &kernel);
+                spread(&coarse, &pooled, &window, tips, &mut lowest);
+            }
+        }
+        lowest
+    }
+}
+
+/// Whether a section of a tool needs no look, since another, drawn on the same footing or a finer
+/// one, is nowhere higher over it: the shank over the ball of the same radius.
+fn shadows((before, lift): &(Section, f64), (section, section_lift): &(Section, f64)) -> bool {
+    let rim = section.shape.max_radius();
+    rim.is_finite()
+        && before.shape.max_radius() <= rim
+        && before.shape.lower_surface(rim) + lift <= lower_bound(&section.shape, 0.0) + section_lift
+}
+
+/// G of the depth engine: a voxel x of `wanted` can be cut along `direction` when x_z ≥ G at its
+/// cell.
+pub fn cutter_map(scene: &Scene, wanted: &BitGrid, tool: &Tool, direction: Direction) -> DepthMap {
+    let view = View::new(scene, wanted, direction);
+    let s = view.spacing;
+    let rounding = rounding_cells(direction);
+    let radius = tool.active_radius();
+    let margin = radius + s;
+    let lattice = view.lattice(margin, 1);
+    let under = view.under(&lattice);
+    let reach = (radius / s).floor() as usize;
+    // A face mill spans hundreds of cells; every n-th tip of them suffices, since missing a tip
+    // only misses a position.
+    let stride = (reach as f64 / WIDEST_CELLS).ceil().max(1.0) as usize;
+    let kernel = Kernel::of(reach, stride, |cells| {
+        let k = tool.active_lower_surface((cells + rounding) * s);
+        k.is_finite().then_some(k as f32)
+    });
+    let sections: Vec<(Section, f64)> = tool.sections.iter().map(|sec| (*sec, 0.0)).collect();
+    let tips = under.grown(reach, lattice.nu);
+    let free = view.lowest_tip(margin, &tips, &sections, rounding);
+    let free = Image { width: lattice.nu, cells: &free };
+    let mut lowest = vec![f32::INFINITY; lattice.nu * lattice.nv];
+    filter(Op::Min, &free, (0, 0), lattice.nu, &mut lowest, &under, &kernel);
+    DepthMap { plane: view.plane, lattice, lowest }
+}
+
+/// H of a nozzle whose tip stands at the deposited voxel: x of `wanted` can be deposited when
+/// x_z ≥ H at its cell. Sections that reach the tip may stand `dip_mm` lower than the obstacles
+/// allow.
 pub fn nozzle_map(
     scene: &Scene,
-    within: &Aabb,
+    wanted: &BitGrid,
     tool: &Tool,
     direction: Direction,
     dip_mm: f64,
 ) -> DepthMap {
-    let plane = direction.image_plane();
-    let s = spacing(&scene.frame, direction);
+    let view = View::new(scene, wanted, direction);
+    let margin = view.spacing;
     // Here the tip too is anywhere in its cell.
     let rounding = 2.0 * rounding_cells(direction);
-    let lift: Vec<(Section, f64)> = tool
+    let sections: Vec<(Section, f64)> = tool
         .sections
         .iter()
         .map(|sec| (*sec, if sec.shape.lower_surface(0.0) == 0.0 { dip_mm } else { 0.0 }))
         .collect();
-    let (lattice, lowest) = lowest_tip(scene, within, &plane, s, s, &lift, rounding);
-    DepthMap { plane, lattice, lowest }
+    let lattice = view.lattice(margin, 1);
+    let under = view.under(&lattice);
+    let lowest = view.lowest_tip(margin, &under, &sections, rounding);
+    DepthMap { plane: view.plane, lattice, lowest }
 }
 
-/// H over the box `within` and `margin` mm around it: max over obstacle points of
-/// o_z − f(ρ) − lift, section by section.
-fn lowest_tip(
-    scene: &Scene,
-    within: &Aabb,
-    plane: &ImagePlane,
-    spacing: f64,
-    margin: f64,
-    sections: &[(Section, f64)],
-    rounding_cells: f64,
-) -> (Lattice, Vec<f32>) {
-    let window = Lattice::around(&scene.frame, within, plane, spacing, margin, 1);
-    let mut lowest = vec![f32::NEG_INFINITY; window.nu * window.nv];
-    let mut images: Vec<(usize, Lattice, Vec<f32>)> = Vec::new();
-    for &(section, lift) in sections {
-        if let Shape::Platform { z } = section.shape {
-            let top = scene.points().iter().map(|p| plane.height(*p)).fold(f64::MIN, f64::max);
-            let floor = (top - z - lift) as f32;
-            lowest.iter_mut().for_each(|h| *h = h.max(floor));
-            continue;
-        }
-        let radius = section.shape.max_radius();
-        let mut pool = 1;
-        while radius / (spacing * pool as f64) > WIDEST_CELLS {
-            pool *= 2;
-        }
-        if !images.iter().any(|(p, ..)| *p == pool) {
-            // One image per pooling, wide enough for every section treated on it.
-            let wide = margin + (WIDEST_CELLS + 2.0) * pool as f64 * spacing;
-            let lattice = Lattice::around(&scene.frame, within, plane, spacing, wide, pool);
-            images.push((pool, lattice, depth_image(scene, plane, &lattice)));
-        }
-        let Some((_, lattice, image)) = images.iter().find(|(p, ..)| *p == pool) else { continue };
-        let cells = if pool == 1 {
-            rounding_cells
-        } else {
-            // Point and tip may each be half a diagonal from their cell's centre.
-            std::f64::consts::SQRT_2
-        };
-        let kernel = section_kernel(&section.shape, lift, lattice.spacing, cells);
-        if pool == 1 {
-            filter(lattice, image, &window, &mut lowest, &kernel, raise);
-        } else {
-            let over = margin + spacing;
-            let coarse_window = Lattice::around(&scene.frame, within, plane, spacing, over, pool);
-            let mut coarse = vec![f32::NEG_INFINITY; coarse_window.nu * coarse_window.nv];
-            filter(lattice, image, &coarse_window, &mut coarse, &kernel, raise);
-            spread(&coarse_window, &coarse, &window, &mut lowest);
-        }
-    }
-    (window, lowest)
-}
-
-fn raise(best: &mut f32, h: f32, minus_f: f32) {
-    let z = h + minus_f;
-    if z > *best {
-        *best = z
-    }
-}
-
-/// Offsets (cells) of a section with −f(ρ) − lift, ρ shortened by `rounding` cells.
-fn section_kernel(shape: &Shape, lift: f64, s: f64, rounding: f64) -> Vec<(isize, isize, f32)> {
-    let reach = (shape.max_radius() / s + rounding).ceil() as isize;
-    let mut kernel = Vec::new();
-    for j in -reach..=reach {
-        for i in -reach..=reach {
-            let rho = ((((i * i + j * j) as f64).sqrt() - rounding) * s).max(0.0);
-            let f = lower_bound(shape, rho);
-            if f.is_finite() {
-                kernel.push((i, j, -(f + lift) as f32));
-            }
-        }
-    }
-    kernel
+/// −f(ρ) − lift of a section over cells, ρ shortened by `rounding` cells.
+fn section_kernel(shape: &Shape, lift: f64, s: f64, rounding: f64) -> Kernel {
+    let reach = (shape.max_radius() / s + rounding).ceil() as usize;
+    Kernel::of(reach, 1, |cells| {
+        let f = lower_bound(shape, ((cells - rounding) * s).max(0.0));
+        f.is_finite().then_some(-(f + lift) as f32)
+    })
 }
 
 /// inf of the lower surface over radii ≥ ρ: the surface itself unless the section narrows upward.
@@ -241,63 +308,17 @@ fn lower_bound(shape: &Shape, rho: f64) -> f64 {
     }
 }
 
-/// Highest point per cell, mm.
-fn depth_image(scene: &Scene, plane: &ImagePlane, lattice: &Lattice) -> Vec<f32> {
-    let mut image = vec![f32::NEG_INFINITY; lattice.nu * lattice.nv];
-    for p in scene.points() {
-        if let Some(c) = lattice.cell(plane.across(*p)) {
-            let z = plane.height(*p) as f32;
-            if z > image[c] {
-                image[c] = z;
-            }
-        }
-    }
-    image
-}
-
-/// out(c) = op over the kernel of image(c + offset), for every cell c of `out_lattice`; offsets
-/// that leave the image are skipped. Both lattices have the same spacing and phase.
-fn filter(
-    lattice: &Lattice,
-    image: &[f32],
-    out_lattice: &Lattice,
-    out: &mut [f32],
-    kernel: &[(isize, isize, f32)],
-    op: impl Fn(&mut f32, f32, f32) + Sync + Copy,
-) {
-    let shift = ((out_lattice.first - lattice.first) / lattice.spacing).round();
-    let (du, dv) = (shift.x as isize, shift.y as isize);
-    let (nu, nv) = (lattice.nu as isize, lattice.nv as isize);
-    out.par_chunks_mut(out_lattice.nu).enumerate().for_each(|(row, out)| {
-        let len = out.len() as isize;
-        for &(i, j, value) in kernel {
-            let src_row = row as isize + dv + j;
-            if src_row < 0 || src_row >= nv {
-                continue;
-            }
-            let start = du + i;
-            let from = (-start).clamp(0, len);
-            let to = (nu - start).clamp(from, len);
-            let src = (src_row * nu + start + from) as usize;
-            let n = (to - from) as usize;
-            let source = &image[src.min(image.len())..][..n];
-            for (o, h) in out[from as usize..to as usize].iter_mut().zip(source) {
-                op(o, *h, value);
-            }
-        }
-    });
-}
-
-/// Raises every fine cell to the value of the coarse cell it lies in.
-fn spread(coarse_lattice: &Lattice, coarse: &[f32], lattice: &Lattice, out: &mut [f32]) {
-    out.par_chunks_mut(lattice.nu).enumerate().for_each(|(j, row)| {
-        for (i, o) in row.iter_mut().enumerate() {
-            let uv = lattice.first + DVec2::new(i as f64, j as f64) * lattice.spacing;
-            if let Some(c) = coarse_lattice.cell(uv) {
+/// Raises the cells of `tips` to the value of the coarse cell they lie in.
+fn spread(from: &Lattice, coarse: &[f32], onto: &Lattice, tips: &Spans, out: &mut [f32]) {
+    for (j, spans) in tips.rows().enumerate() {
+        for i in spans.iter().flat_map(|s| s.clone()) {
+            let uv = onto.first + DVec2::new(i as f64, j as f64) * onto.spacing;
+            if let Some(c) = from.cell(uv) {
+                let o = &mut out[i + onto.nu * j];
                 *o = o.max(coarse[c]);
             }
         }
-    });
+    }
 }
 
 #[cfg(test)]
@@ -369,13 +390,14 @@ mod tests {
             let tool = cutter(radius, length, holder);
             let axes = [Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y, Direction::Z];
             let d = axes.get(pick).copied().unwrap_or_else(|| fibonacci_sphere(40)[pick]);
-            let cut = cutter_map(&scene, &frame.bounds(), &tool, d);
-            let print = nozzle_map(&scene, &frame.bounds(), &tool, d, 0.2);
+            let all = BitGrid::from_fn(state.dims(), |_| true);
+            let cut = cutter_map(&scene, &all, &tool, d);
+            let print = nozzle_map(&scene, &all, &tool, d, 0.2);
             // Ties at equal height are decided by a rounding margin: the exact engine is asked
             // again a hair lower and a hair higher.
             let hair = d.vec() * 1e-3;
             let narrow = holder <= WIDEST_CELLS * 0.7;
-            for v in BitGrid::from_fn(state.dims(), |_| true).iter_ones() {
+            for v in all.iter_ones() {
                 let x = frame.center(v);
                 if cut.reaches(x) {
                     prop_assert!(naive_cut(&scene, &tool, d, x), "cut {d:?} {v:?}");

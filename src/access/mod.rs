@@ -13,10 +13,11 @@
 
 mod additive;
 mod depth;
+mod filter;
 mod scene;
 mod subtractive;
 
 pub use additive::{CarrierTable, supported};
 pub use depth::{DepthMap, cutter_map, nozzle_map};
 pub use scene::Scene;
-pub use subtractive::{Cut, over_cut, reachable, world_extent};
+pub use subtractive::{Cut, over_cut, reachable};

@@ -1,7 +1,7 @@
 //! What one direction can cut.
 
 use super::{DepthMap, Scene, cutter_map};
-use crate::base::{Aabb, DVec3, Direction};
+use crate::base::{DVec3, Direction};
 use crate::machine::Tool;
 use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
@@ -22,13 +22,6 @@ pub fn reachable(map: &DepthMap, candidates: &BitGrid, frame: &Frame) -> BitGrid
         }
     });
     out
-}
-
-/// Box of a set's voxels, mm.
-pub fn world_extent(set: &BitGrid, frame: &Frame) -> Option<Aabb> {
-    let half = DVec3::splat(frame.pitch / 2.0);
-    let (lo, hi) = set.extent()?;
-    Some(Aabb { min: frame.center(lo) - half, max: frame.center(hi) + half })
 }
 
 /// An over-cut: what a tool removes from a state along a direction.
@@ -56,8 +49,7 @@ pub fn over_cut(
     while !region.is_empty() {
         rounds += 1;
         let scene = Scene::new(frame, &state.minus(&region), fixed);
-        let Some(within) = world_extent(&region, frame) else { break };
-        let next = reachable(&cutter_map(&scene, &within, tool, direction), &region, frame);
+        let next = reachable(&cutter_map(&scene, &region, tool, direction), &region, frame);
         if next == region {
             break;
         }

@@ -244,6 +244,31 @@ impl BitGrid {
         span
     }
 
+    /// The voxels that are solid or have a solid face, edge or corner neighbour.
+    pub fn grown(&self) -> BitGrid {
+        let mut out = BitGrid::new(self.dims);
+        let (ny, nz, w) = (self.dims[1], self.dims[2], self.words_per_row);
+        let last = self.last_word_mask();
+        out.par_rows_mut().for_each(|(y, z, o)| {
+            for z in z.saturating_sub(1)..(z + 2).min(nz) {
+                for y in y.saturating_sub(1)..(y + 2).min(ny) {
+                    let row = self.row(y, z);
+                    for i in 0..w {
+                        o[i] |= row[i]
+                            | row[i] << 1
+                            | row[i] >> 1
+                            | if i > 0 { row[i - 1] >> 63 } else { 0 }
+                            | if i + 1 < w { row[i + 1] << 63 } else { 0 };
+                    }
+                }
+            }
+            if let Some(word) = o.last_mut() {
+                *word &= last;
+            }
+        });
+        out
+    }
+
     /// Solid voxels with an empty face neighbour (outside the grid counts as empty).
     pub fn boundary(&self) -> BitGrid {
         let mut out = BitGrid::new(self.dims);

@@ -2,10 +2,12 @@
 //!
 //! A block is one over-cut on the state left by the one before it, so its order is valid by
 //! construction. Which direction comes next is decided by an upper bound computed once per
-//! direction and tool: what it could reach if everything removable were gone.
+//! direction and tool: what it could reach if everything removable were gone. Bounds come from the
+//! coarse grid; what the blocks chosen by them leave is looked for again on the job's own.
 
+use super::coarse::Coarse;
 use super::setting::Setting;
-use crate::access::{Cut, Scene, cutter_map, over_cut, reachable, world_extent};
+use crate::access::{Cut, Scene, cutter_map, over_cut, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
 use crate::plan::{Action, Origin, Step, StepKind};
@@ -32,101 +34,237 @@ struct Reach<'a> {
 /// left to a later block. Lower means more tool changes, higher means longer tools everywhere.
 const SHORTER_TOOL_SHARE: f64 = 0.97;
 
-/// Cuts `removable` from `state` as far as tools reach while `kept` = state − removable stands.
+/// A block chosen on the coarse grid removes at least this share of the deep material: below it
+/// the coarse look misjudges, and the fine one that follows chooses better.
+const COARSE_GAIN_SHARE: f64 = 0.002;
+
+/// Blocks tried in vain, one after the other, before a stage ends: each costs an over-cut, and
+/// the bounds are close enough that the first few tell.
+const COARSE_PATIENCE: usize = 3;
+const PATIENCE: usize = 12;
+
+/// A block that removes this share of what is left may have opened the way for others that were
+/// tried in vain.
+const RETRY_SHARE: f64 = 0.05;
+
+/// Cuts `removable` from the initial part as far as tools reach while the rest of it stands.
 /// Only material in `deep` decides which directions are taken; the rest (skin) goes along.
 pub fn cut_blocks(
     setting: &Setting,
+    coarse: &Coarse,
     removable: &BitGrid,
     deep: &BitGrid,
     samples: usize,
     ctx: &Ctx,
 ) -> Result<Cutting, Cancelled> {
-    let mut cutting = Cutting {
-        steps: Vec::new(),
-        state: setting.job.initial.clone(),
-        unreached: removable.and(deep),
-        inaccessible: 0,
-    };
     let kept = setting.job.initial.minus(removable);
-    for holding in 0..setting.holdings.len() {
-        let fixed = setting.fixed(holding, &cutting.state);
-        let axes = setting.axes(holding);
-        // Sampled directions look only at what the axes left.
-        for directions in [axes, setting.sampled(holding, samples)] {
-            if cutting.unreached.is_empty() {
-                break;
-            }
-            let reach = bounds(setting, &kept, &cutting.unreached, &fixed, &directions, ctx)?;
-            take(setting, removable, holding, &fixed, reach, &mut cutting, ctx)?;
-        }
-    }
+    let unreached = removable.and(deep);
+    let mut cutter = Cutter {
+        setting,
+        coarse,
+        removable,
+        kept: coarse.most(&kept),
+        least: (COARSE_GAIN_SHARE * unreached.count() as f64) as usize,
+        fine_kept: kept,
+        cutting: Cutting {
+            steps: Vec::new(),
+            state: setting.job.initial.clone(),
+            unreached,
+            inaccessible: 0,
+        },
+    };
+    cutter.cut(samples, ctx)?;
+    let mut cutting = cutter.cutting;
     cutting.inaccessible = cutting.unreached.count();
     Ok(cutting)
 }
 
-/// Upper bounds of every direction and tool.
-fn bounds<'a>(
-    setting: &Setting<'a>,
-    kept: &BitGrid,
-    wanted: &BitGrid,
-    fixed: &[DVec3],
-    directions: &[Direction],
-    ctx: &Ctx,
-) -> Result<Vec<Reach<'a>>, Cancelled> {
-    let frame = &setting.job.frame;
-    let scene = Scene::new(frame, kept, fixed);
-    let Some(within) = world_extent(wanted, frame) else { return Ok(Vec::new()) };
-    let pairs: Vec<(Direction, &Tool)> =
-        directions.iter().flat_map(|d| setting.job.cutters.iter().map(move |t| (*d, t))).collect();
-    pairs
-        .into_par_iter()
-        .map(|(direction, tool)| {
-            ctx.check()?;
-            let map = cutter_map(&scene, &within, tool, direction);
-            Ok(Reach { direction, tool, bound: reachable(&map, wanted, frame) })
-        })
-        .collect()
+struct Cutter<'s, 'a> {
+    setting: &'s Setting<'a>,
+    coarse: &'s Coarse,
+    removable: &'s BitGrid,
+    /// What stands at the end, on the coarse grid and on the job's.
+    kept: BitGrid,
+    fine_kept: BitGrid,
+    /// Voxels that a block chosen on the coarse grid removes at least.
+    least: usize,
+    cutting: Cutting,
 }
 
-/// Takes directions greedily until none of them removes any more of the deep material.
-fn take(
-    setting: &Setting,
-    removable: &BitGrid,
-    holding: usize,
-    fixed: &[DVec3],
-    mut reach: Vec<Reach>,
-    cutting: &mut Cutting,
-    ctx: &Ctx,
-) -> Result<(), Cancelled> {
-    let job = setting.job;
-    // Directions that removed nothing since the last success.
-    let mut barren: Vec<usize> = Vec::new();
-    loop {
-        ctx.check()?;
-        let gains: Vec<usize> =
-            reach.par_iter().map(|r| r.bound.count_and(&cutting.unreached)).collect();
-        let Some(next) = choose(&reach, &gains, &barren) else { return Ok(()) };
-        let chosen = &reach[next];
-        let rest = removable.and(&cutting.state);
-        let Cut { region, .. } =
-            over_cut(&job.frame, &cutting.state, &rest, fixed, chosen.tool, chosen.direction);
-        if region.count_and(&cutting.unreached) == 0 {
-            barren.push(next);
-            continue;
+impl<'a> Cutter<'_, 'a> {
+    /// All blocks, holding by holding: along the axes, along the samples that reach what the axes
+    /// left, then whatever the coarse look missed. Only the axes look at what a later holding
+    /// reaches too: a pocket open below is left to the holding that has it open above.
+    fn cut(&mut self, samples: usize, ctx: &Ctx) -> Result<(), Cancelled> {
+        let setting = self.setting;
+        let mut ahead: Option<(Vec<Reach<'a>>, Vec<Reach<'a>>)> = None;
+        let mut past: Vec<Vec<Reach<'a>>> = Vec::new();
+        for holding in 0..setting.holdings.len() {
+            let wanted = self.coarse.any(&self.cutting.unreached);
+            if wanted.is_empty() {
+                return Ok(());
+            }
+            let fixed = setting.fixed(holding, &self.cutting.state);
+            let axes = match ahead.as_mut() {
+                Some((axes, _)) => std::mem::take(axes),
+                None => self.coarse_bounds(&wanted, &fixed, &setting.axes(holding), ctx)?,
+            };
+            let none = BitGrid::new(setting.job.frame.dims);
+            self.take(&axes, holding, &fixed, Some(self.coarse), &none, ctx)?;
+            let wanted = self.coarse.any(&self.cutting.unreached);
+            let samples_here = match ahead.take() {
+                Some((_, sampled)) => sampled,
+                None => {
+                    let sampled = setting.sampled(holding, samples);
+                    self.coarse_bounds(&wanted, &fixed, &sampled, ctx)?
+                }
+            };
+            let mut later = none;
+            if holding + 1 < setting.holdings.len() {
+                let next = holding + 1;
+                let fixed = setting.fixed(next, &self.cutting.state);
+                let axes = self.coarse_bounds(&wanted, &fixed, &setting.axes(next), ctx)?;
+                let directions = setting.sampled(next, samples);
+                let sampled = self.coarse_bounds(&wanted, &fixed, &directions, ctx)?;
+                let mut reached = BitGrid::new(wanted.dims());
+                axes.iter().chain(&sampled).for_each(|r| reached.union_with(&r.bound));
+                later = self.coarse.refined(&reached, setting.job.frame.dims);
+                ahead = Some((axes, sampled));
+            }
+            self.take(&samples_here, holding, &fixed, Some(self.coarse), &later, ctx)?;
+            let all: Vec<Reach> = axes.into_iter().chain(samples_here).collect();
+            let fine = self.fine_bounds(&all, &fixed, &later, ctx)?;
+            self.take(&fine, holding, &fixed, None, &later, ctx)?;
+            past.push(all);
         }
-        barren.clear();
-        cutting.state.subtract(&region);
-        cutting.unreached.subtract(&region);
-        cutting.steps.push(Step {
-            kind: StepKind::Subtractive,
-            tool: chosen.tool.name.clone(),
-            direction: chosen.direction,
-            holding,
-            region,
-            block: cutting.steps.len(),
-            origin: Origin { plane: None, action: Some(Action::OC) },
-        });
-        reach.retain(|r| r.bound.intersects(&cutting.unreached));
+        // What was left to a later holding in vain, once more in the earlier ones.
+        let none = BitGrid::new(setting.job.frame.dims);
+        for holding in (0..past.len().saturating_sub(1)).rev() {
+            let fixed = setting.fixed(holding, &self.cutting.state);
+            let fine = self.fine_bounds(&past[holding], &fixed, &none, ctx)?;
+            self.take(&fine, holding, &fixed, None, &none, ctx)?;
+        }
+        Ok(())
+    }
+
+    /// Upper bounds of every direction and tool on the coarse grid.
+    fn coarse_bounds(
+        &self,
+        wanted: &BitGrid,
+        fixed: &[DVec3],
+        directions: &[Direction],
+        ctx: &Ctx,
+    ) -> Result<Vec<Reach<'a>>, Cancelled> {
+        let frame = &self.coarse.job.frame;
+        let scene = Scene::new(frame, &self.kept, fixed);
+        let cutters = &self.setting.job.cutters;
+        let pairs: Vec<(Direction, &'a Tool)> =
+            directions.iter().flat_map(|d| cutters.iter().map(move |t| (*d, t))).collect();
+        pairs
+            .into_par_iter()
+            .map(|(direction, tool)| {
+                ctx.check()?;
+                let map = cutter_map(&scene, wanted, tool, direction);
+                Ok(Reach { direction, tool, bound: reachable(&map, wanted, frame) })
+            })
+            .collect()
+    }
+
+    /// Upper bounds on the job's own grid, for what is left near each coarse bound.
+    fn fine_bounds(
+        &self,
+        coarse: &[Reach<'a>],
+        fixed: &[DVec3],
+        later: &BitGrid,
+        ctx: &Ctx,
+    ) -> Result<Vec<Reach<'a>>, Cancelled> {
+        let frame = &self.setting.job.frame;
+        let scene = Scene::new(frame, &self.fine_kept, fixed);
+        let left = &self.cutting.unreached.minus(later);
+        let wanted = self.coarse.any(left);
+        let fine: Vec<Option<Reach<'a>>> = coarse
+            .par_iter()
+            .map(|&Reach { direction, tool, ref bound }| {
+                ctx.check()?;
+                // A coarse bound may be wrong by a coarse voxel.
+                let doubtful = bound.grown().and(&wanted);
+                if doubtful.is_empty() {
+                    return Ok(None);
+                }
+                let near = self.coarse.refined(&doubtful, frame.dims).and(left);
+                let map = cutter_map(&scene, &near, tool, direction);
+                Ok(Some(Reach { direction, tool, bound: reachable(&map, &near, frame) }))
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        Ok(fine.into_iter().flatten().collect())
+    }
+
+    /// Takes directions greedily until none of them removes any more of the deep material. With
+    /// `coarse`, bounds are on the coarse grid and blocks that gain little are left alone. What
+    /// a `later` holding reaches counts for no gain.
+    fn take(
+        &mut self,
+        reach: &[Reach<'a>],
+        holding: usize,
+        fixed: &[DVec3],
+        coarse: Option<&Coarse>,
+        later: &BitGrid,
+        ctx: &Ctx,
+    ) -> Result<(), Cancelled> {
+        let job = self.setting.job;
+        let (least, patience) =
+            if coarse.is_some() { (self.least.max(1), COARSE_PATIENCE) } else { (1, PATIENCE) };
+        // Directions that removed too little since the last success.
+        let mut barren: Vec<usize> = Vec::new();
+        loop {
+            ctx.check()?;
+            let left = self.cutting.unreached.minus(later);
+            let left = coarse.map_or(left.clone(), |c| c.any(&left));
+            let gains: Vec<usize> = reach.par_iter().map(|r| r.bound.count_and(&left)).collect();
+            let Some(next) = choose(reach, &gains, &barren) else { return Ok(()) };
+            let chosen = &reach[next];
+            let rest = self.removable.and(&self.cutting.state).minus(later);
+            let Cut { region, .. } = over_cut(
+                &job.frame,
+                &self.cutting.state,
+                &rest,
+                fixed,
+                chosen.tool,
+                chosen.direction,
+            );
+            let gain = region.count_and(&self.cutting.unreached);
+            tracing::debug!(
+                holding,
+                tool = chosen.tool.name,
+                direction = ?chosen.direction,
+                on = if coarse.is_some() { "coarse" } else { "fine" },
+                gain,
+                left = self.cutting.unreached.count() - gain,
+                "cut"
+            );
+            if gain < least {
+                barren.push(next);
+                if barren.len() >= patience {
+                    return Ok(());
+                }
+                continue;
+            }
+            if gain as f64 >= RETRY_SHARE * self.cutting.unreached.count() as f64 {
+                barren.clear();
+            }
+            let cutting = &mut self.cutting;
+            cutting.state.subtract(&region);
+            cutting.unreached.subtract(&region);
+            cutting.steps.push(Step {
+                kind: StepKind::Subtractive,
+                tool: chosen.tool.name.clone(),
+                direction: chosen.direction,
+                holding,
+                region,
+                block: cutting.steps.len(),
+                origin: Origin { plane: None, action: Some(Action::OC) },
+            });
+        }
     }
 }
 

@@ -27,6 +27,7 @@
 //! reused volume is the largest possible.
 
 mod candidates;
+mod coarse;
 mod cutting;
 mod printing;
 mod setting;
@@ -38,8 +39,9 @@ use crate::planner::PlanError;
 use crate::region::{PrintingBase, Volumes, above, printing_bases};
 use crate::voxel::{BitGrid, Connectivity, components, distance_within};
 use candidates::{Element, cover};
+use coarse::Coarse;
 use cutting::{Cutting, cut_blocks};
-use printing::{Printing, print_blocks};
+use printing::{Printing, Wanted, print_blocks};
 use setting::Setting;
 use std::time::Instant;
 
@@ -107,6 +109,7 @@ impl Attempt {
 pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), PlanError> {
     check(job)?;
     let setting = Setting::new(job);
+    let coarse = Coarse::of(job);
     let mut report = Report::default();
     let mut clock = Clock::default();
     let first = volumes(job, &[]);
@@ -122,6 +125,14 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         .map(|b| Element { points: b.points.clone() })
         .collect();
     clock.lap("graph");
+    for b in &bases {
+        tracing::debug!(
+            "DIAG base points {} convex {} facets {}",
+            b.points.len(),
+            b.plano_convex,
+            b.facets.len()
+        );
+    }
     let normals = plane_normals(job, options.directions);
     let mut planes = choose(&setting, &first, &elements, &normals, &mut report)?;
     clock.lap("set_cover");
@@ -129,7 +140,8 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let mut best: Option<Attempt> = None;
     for round in 0..ROUNDS {
         ctx.check()?;
-        let attempt = attempt(&setting, planes.clone(), &preferred, options, &mut clock, ctx)?;
+        let attempt =
+            attempt(&setting, &coarse, planes.clone(), &preferred, options, &mut clock, ctx)?;
         if round == 0 {
             let share = attempt.volumes.reused.count() as f64 / job.target.count() as f64;
             report.reuse_initial = share;
@@ -142,9 +154,20 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             reused = attempt.volumes.reused.count(),
             excess = attempt.excess.count(),
             deficit = attempt.deficit.count(),
+            cuts = attempt.cutting.steps.len(),
+            prints = attempt.printing.steps.len(),
+            laps = ?clock.laps,
             "round"
         );
         let open = clusters(job, &attempt.excess, &attempt.deficit);
+        for e in &open {
+            let n = e.points.len() as f64;
+            let centre = e.points.iter().sum::<crate::base::DVec3>() / n;
+            let lo = e.points.iter().copied().fold(crate::base::DVec3::INFINITY, |a, b| a.min(b));
+            let hi =
+                e.points.iter().copied().fold(crate::base::DVec3::NEG_INFINITY, |a, b| a.max(b));
+            tracing::debug!(surface_voxels = n, %centre, %lo, %hi, "out of reach");
+        }
         let done = open.is_empty();
         if best.as_ref().is_none_or(|b| attempt.rank() < b.rank()) {
             best = Some(attempt);
@@ -216,6 +239,7 @@ fn deep(job: &Job, volumes: &Volumes) -> (BitGrid, BitGrid) {
 
 fn attempt(
     setting: &Setting,
+    coarse: &Coarse,
     planes: Vec<Plane>,
     preferred: &[Direction],
     options: &Options,
@@ -224,14 +248,26 @@ fn attempt(
 ) -> Result<Attempt, PlanError> {
     let job = setting.job;
     let volumes = volumes(job, &planes);
+    for p in &planes {
+        tracing::debug!("DIAG plane {:?}", p);
+    }
+    tracing::debug!("DIAG reused {} target {}", volumes.reused.count(), job.target.count());
     let (deep_removed, added) = deep(job, &volumes);
     let mut along: Vec<Direction> = planes.iter().map(|p| p.normal).collect();
     along.extend_from_slice(preferred);
-    let cutting = cut_blocks(setting, &volumes.removed, &deep_removed, options.directions, ctx)?;
+    let cutting =
+        cut_blocks(setting, coarse, &volumes.removed, &deep_removed, options.directions, ctx)?;
     clock.lap("blocks_cut");
-    let printing = print_blocks(setting, &cutting.state, &added, &along, options.directions, ctx)?;
-    clock.lap("blocks_print");
     let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
+    let wanted = Wanted {
+        state: &cutting.state,
+        added: &added,
+        core: &added.minus(&skin),
+        preferred: &along,
+        samples: options.directions,
+    };
+    let printing = print_blocks(setting, coarse, &wanted, ctx)?;
+    clock.lap("blocks_print");
     let deficit = printing.unreached.minus(&skin);
     let excess = cutting.unreached.clone();
     Ok(Attempt { planes, volumes, cutting, printing, excess, deficit })

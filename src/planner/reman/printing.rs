@@ -1,30 +1,46 @@
-//! Additive blocks: V_A taken apart backward into pieces that print on planes.
+//! Additive blocks (W2V Sec. 6): V_A in blocks along few directions.
 //!
-//! Method. Backward, from the finished part Q: along a direction n the voxels of V_A are swept from
-//! the top down and joined into components, so that every component is a piece of Q above a plane
-//! across n. A component is *good* while each of its voxels is carried within the overhang angle
-//! and the nozzle stands there clear of everything that is not part of V_A. The maximal good
-//! components of one direction make one block: all that remains beside it lies below its planes, so
-//! its base is planar and nothing near it stands higher. Whatever else of Q stands in the nozzle's
-//! way is found on the depth image and taken out of the block. Blocks are removed backward and
-//! printed forward.
+//! Method. From a state, everything that a way (direction, holding, nozzle) can lay is found in one
+//! sweep from below: a voxel is laid when something carries it within the overhang angle and the
+//! nozzle stands at it clear of the state. What the block itself has laid lies lower along the
+//! direction and is never in the nozzle's way. The way that lays most comes first; which one
+//! that is, is judged on the coarse grid, and the block itself is laid on the job's own.
 //!
-//! Forward, each block is laid again against the true state, voxel by voxel from below, so that
-//! what a step adds is carried and clear by definition; what is not is left out and reported.
+//! Such blocks may close in on material that could have been laid before them. What is left at the
+//! end is therefore put first: with only the voxels that carry it, as a block before all others,
+//! and the others are laid again. This is kept as long as less is left.
+//!
+//! Guarantees: each block's voxels are carried, clear and connected when they are laid. Not
+//! guaranteed: that every voxel finds its turn; what no block reaches is returned.
 
+use super::coarse::Coarse;
 use super::setting::Setting;
-use crate::access::{CarrierTable, Scene, nozzle_map, reachable, supported, world_extent};
+use crate::access::{CarrierTable, Scene, nozzle_map, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
-use crate::plan::{Origin, Plane, Step, StepKind};
-use crate::voxel::{BitGrid, Connectivity, Frame, components};
+use crate::plan::{Job, Origin, Plane, Step, StepKind};
+use crate::voxel::BitGrid;
 use rayon::prelude::*;
 
 /// The additive steps, the state they leave, and what of V_A they could not add.
+#[derive(Clone)]
 pub struct Printing {
     pub steps: Vec<Step>,
     pub state: BitGrid,
     pub unreached: BitGrid,
+}
+
+/// What is to be printed.
+pub struct Wanted<'w> {
+    /// What stands before anything is printed.
+    pub state: &'w BitGrid,
+    pub added: &'w BitGrid,
+    /// The part of `added` beyond skin, the only one that asks for blocks.
+    pub core: &'w BitGrid,
+    /// Directions tried before the sampled ones.
+    pub preferred: &'w [Direction],
+    /// Sampled directions per hemisphere.
+    pub samples: usize,
 }
 
 /// A way to print: direction, holding and nozzle.
@@ -35,354 +51,387 @@ struct Way<'a> {
     tool: &'a Tool,
 }
 
-/// A block found backward.
-struct Block<'a> {
-    way: Way<'a>,
-    region: BitGrid,
-}
-
-/// Components of a block smaller than this share of its largest are left to other directions:
-/// the very tops of every bump would otherwise be blocks of their own.
-const COMPONENT_SHARE: f64 = 0.05;
-
 /// A preferred direction (plane or facet normal, up) is taken without a look at the samples when
 /// it prints this share of what is left.
 const ENOUGH_SHARE: f64 = 0.9;
 
-/// Rounds in which voxels blocked by other parts of Q are taken out of a block.
-const CLEARING_ROUNDS: usize = 6;
+/// A shorter nozzle is taken when it prints this share of what the longest prints.
+const SHORTER_TOOL_SHARE: f64 = 0.97;
 
-/// Prints `added` onto `state`; `preferred` directions are tried before the sampled ones.
+/// Ways that are looked at closely after the coarse ranking: more costs time, fewer trusts a
+/// staircase of coarse voxels too much.
+const FINALISTS: usize = 3;
+
+/// A block prints at least this share of the core: less is left to a plane or to the residual,
+/// since a change of direction for a crumb helps nobody.
+const LEAST_SHARE: f64 = 5e-4;
+
+/// Blocks put before all others at most, and ways tried for each.
+const MOST_REPAIRS: usize = 8;
+const REPAIR_WAYS: usize = 3;
+
+/// Prints what is wanted, block by block.
 pub fn print_blocks(
     setting: &Setting,
-    state: &BitGrid,
-    added: &BitGrid,
-    preferred: &[Direction],
-    samples: usize,
+    coarse: &Coarse,
+    wanted: &Wanted,
     ctx: &Ctx,
 ) -> Result<Printing, Cancelled> {
-    let blocks = backward(setting, state, added, preferred, samples, ctx)?;
-    forward(setting, state, added, blocks, ctx)
+    // Shorter nozzles reach less: they are asked once the direction is known.
+    let Some((longest, shorter)) = setting.job.nozzles.split_last() else {
+        return Ok(Printing::start(wanted));
+    };
+    let mut ways = ways_along(setting, wanted.preferred, longest);
+    let first = ways.len();
+    let sampled: Vec<Direction> =
+        (0..setting.holdings.len()).flat_map(|h| setting.sampled(h, wanted.samples)).collect();
+    ways.extend(ways_along(setting, &sampled, longest));
+    let press = Press {
+        setting,
+        coarse,
+        wanted,
+        ways,
+        first,
+        shorter,
+        core: coarse.most(wanted.core),
+        least: ((LEAST_SHARE * wanted.core.count() as f64) as usize).max(1),
+    };
+    let mut orders = Vec::new();
+    let mut best = Printing::start(wanted);
+    press.fill(&mut best, &mut orders, ctx)?;
+    press.repair(best, orders, ctx)
 }
 
-fn ways<'a>(setting: &Setting<'a>, directions: &[Direction]) -> Vec<Way<'a>> {
-    let mut ways = Vec::new();
-    for d in directions {
-        let Some(holding) = (0..setting.holdings.len()).find(|h| setting.can_point(*h, *d)) else {
-            continue;
-        };
-        ways.extend(setting.job.nozzles.iter().map(|tool| Way { direction: *d, holding, tool }));
-    }
-    ways
+/// A block to be laid: its way and, when not all that the way lays is meant, what is.
+#[derive(Clone)]
+struct Order<'a> {
+    way: Way<'a>,
+    only: Option<BitGrid>,
 }
 
-fn backward<'a>(
-    setting: &Setting<'a>,
-    state: &BitGrid,
-    added: &BitGrid,
-    preferred: &[Direction],
-    samples: usize,
-    ctx: &Ctx,
-) -> Result<Vec<Block<'a>>, Cancelled> {
-    let first = ways(setting, preferred);
-    let all: Vec<Direction> =
-        (0..setting.holdings.len()).flat_map(|h| setting.sampled(h, samples)).collect();
-    let sampled = ways(setting, &all);
-    let fixed: Vec<Vec<DVec3>> =
-        (0..setting.holdings.len()).map(|h| setting.fixed(h, state)).collect();
-    let sweep = Sweeper { setting, state, fixed: &fixed };
-    let mut blocks: Vec<Block> = Vec::new();
-    let mut left = added.clone();
-    let mut clear_first = sweep.clear(&first, &left, ctx)?;
-    let mut clear_sampled: Option<Vec<BitGrid>> = None;
-    while !left.is_empty() {
-        let mut best = sweep.best(&first, &clear_first, &left, ctx)?;
-        let count = |b: &Option<Block>| b.as_ref().map_or(0, |b| b.region.count());
-        if (count(&best) as f64) < ENOUGH_SHARE * left.count() as f64 {
-            if clear_sampled.is_none() {
-                clear_sampled = Some(sweep.clear(&sampled, &left, ctx)?);
-            }
-            let clear = clear_sampled.as_deref().unwrap_or_default();
-            let other = sweep.best(&sampled, clear, &left, ctx)?;
-            if count(&other) > count(&best) {
-                best = other;
-            }
-        }
-        let Some(block) = best.filter(|b| !b.region.is_empty()) else { break };
-        left.subtract(&block.region);
-        clear_first.iter_mut().for_each(|c| c.intersect_with(&left));
-        blocks.push(block);
-    }
-    blocks.reverse();
-    Ok(blocks)
-}
-
-struct Sweeper<'s, 'a> {
+/// What stays the same while blocks are chosen.
+struct Press<'s, 'a> {
     setting: &'s Setting<'a>,
-    /// What stands before anything is printed.
-    state: &'s BitGrid,
-    fixed: &'s [Vec<DVec3>],
+    coarse: &'s Coarse,
+    wanted: &'s Wanted<'s>,
+    ways: Vec<Way<'a>>,
+    /// How many of the ways are preferred.
+    first: usize,
+    shorter: &'a [Tool],
+    /// The core on the coarse grid.
+    core: BitGrid,
+    /// Fewest core voxels of a block.
+    least: usize,
 }
 
-impl<'a> Sweeper<'_, 'a> {
-    /// Where each way's nozzle stands clear of the state and the fixed points.
-    fn clear(&self, ways: &[Way], left: &BitGrid, ctx: &Ctx) -> Result<Vec<BitGrid>, Cancelled> {
-        let frame = &self.setting.job.frame;
-        let scenes: Vec<Scene> =
-            self.fixed.iter().map(|fixed| Scene::new(frame, self.state, fixed)).collect();
-        ways.par_iter()
-            .map(|way| {
-                ctx.check()?;
-                Ok(self.depositable(&scenes[way.holding], way, left))
-            })
-            .collect()
+impl<'a> Press<'_, 'a> {
+    fn left(&self, printing: &Printing) -> usize {
+        printing.unreached.count_and(self.wanted.core)
     }
 
-    fn depositable(&self, scene: &Scene, way: &Way, candidates: &BitGrid) -> BitGrid {
-        let job = self.setting.job;
-        match world_extent(candidates, &job.frame) {
-            None => candidates.clone(),
-            Some(within) => {
-                let dip = job.rules.nozzle_dip_mm;
-                let map = nozzle_map(scene, &within, way.tool, way.direction, dip);
-                reachable(&map, candidates, &job.frame)
-            }
-        }
-    }
-
-    /// The largest block any of the ways prints of what is left; of equals the first.
-    fn best(
+    /// Takes blocks, the largest first, until none lays enough.
+    fn fill(
         &self,
-        ways: &[Way<'a>],
-        clear: &[BitGrid],
-        left: &BitGrid,
+        printing: &mut Printing,
+        orders: &mut Vec<Order<'a>>,
         ctx: &Ctx,
-    ) -> Result<Option<Block<'a>>, Cancelled> {
-        let standing = self.state.or(left);
-        let sizes: Vec<(usize, BitGrid)> = ways
-            .par_iter()
-            .zip(clear)
-            .map(|(way, clear)| {
-                ctx.check()?;
-                let clear = clear.and(left);
-                let region =
-                    if clear.is_empty() { clear } else { self.sweep(way, &clear, left, &standing) };
-                Ok((region.count(), region))
-            })
-            .collect::<Result<_, Cancelled>>()?;
-        // Ranked by size before the costly check against the rest of the part.
-        let mut order: Vec<usize> = (0..sizes.len()).filter(|i| sizes[*i].0 > 0).collect();
-        order.sort_by_key(|&i| (std::cmp::Reverse(sizes[i].0), i));
+    ) -> Result<(), Cancelled> {
+        while self.left(printing) >= self.least {
+            let Some(block) = self.next(printing, ctx)? else { break };
+            tracing::debug!(
+                direction = ?block.way.direction,
+                tool = block.way.tool.name,
+                gain = block.gain,
+                left = self.left(printing) - block.gain,
+                "print"
+            );
+            orders.push(Order { way: block.way, only: None });
+            printing.take(self.setting.job, block);
+        }
+        Ok(())
+    }
+
+    /// The next block, if any lays enough.
+    fn next(&self, printing: &Printing, ctx: &Ctx) -> Result<Option<Block<'a>>, Cancelled> {
+        let fixed = self.fixed(&printing.state);
+        let state = self.coarse.most(&printing.state);
+        let left = self.coarse.most(&printing.state.or(&printing.unreached)).minus(&state);
+        let quick = Layer {
+            job: &self.coarse.job,
+            state: &state,
+            left: &left,
+            core: &self.core,
+            fixed: &fixed,
+        };
+        let fine = self.layer(printing, &printing.unreached, &fixed);
+        let enough = (ENOUGH_SHARE * self.left(printing) as f64) as usize;
         let mut best: Option<Block> = None;
-        for i in order {
-            let at_least = best.as_ref().map_or(0, |b| b.region.count());
-            if sizes[i].0 <= at_least {
+        for upto in [self.first, self.ways.len()] {
+            let finalists: Vec<Way> =
+                quick.ranked(&self.ways[..upto], ctx)?.into_iter().take(FINALISTS).collect();
+            best = fine.best(&finalists, ctx)?;
+            if best.as_ref().is_some_and(|b| b.gain >= enough) {
                 break;
             }
-            let region = self.freed(&ways[i], &clear[i], left, sizes[i].1.clone(), &standing);
-            if region.count() > at_least {
-                best = Some(Block { way: ways[i], region });
+        }
+        if best.as_ref().is_none_or(|b| b.gain < self.least) {
+            // Too small or too tight for the coarse grid: every way, on the job's own.
+            best = fine.best(&self.ways, ctx)?;
+        }
+        let Some(block) = best.filter(|b| b.gain >= self.least) else { return Ok(None) };
+        let least = SHORTER_TOOL_SHARE * block.gain as f64;
+        let short = self
+            .shorter
+            .iter()
+            .map(|tool| fine.lay(Way { tool, ..block.way }))
+            .find(|b| b.gain as f64 >= least);
+        Ok(Some(short.unwrap_or(block)))
+    }
+
+    /// Puts what is left before all other blocks, as long as that leaves less.
+    fn repair(
+        &self,
+        mut best: Printing,
+        mut orders: Vec<Order<'a>>,
+        ctx: &Ctx,
+    ) -> Result<Printing, Cancelled> {
+        for put_first in 0..MOST_REPAIRS {
+            let left = self.left(&best);
+            if left < self.least {
+                break;
+            }
+            let missing = best.unreached.and(self.wanted.core);
+            let ahead = self.replay(&orders[..put_first], ctx)?;
+            let mut better = false;
+            for order in self.carrying(&ahead, &missing, ctx)? {
+                let mut tried = orders.clone();
+                tried.insert(put_first, order);
+                let mut printing = self.replay(&tried, ctx)?;
+                self.fill(&mut printing, &mut tried, ctx)?;
+                tracing::debug!(before = left, after = self.left(&printing), "repair");
+                if self.left(&printing) < left {
+                    (best, orders, better) = (printing, tried, true);
+                    break;
+                }
+            }
+            if !better {
+                break;
             }
         }
         Ok(best)
     }
 
-    /// Takes out of a block what other parts of Q block, until nothing does.
-    fn freed(
+    /// Lays blocks again in an order; blocks that lay nothing of the core any more fall away.
+    fn replay(&self, orders: &[Order<'a>], ctx: &Ctx) -> Result<Printing, Cancelled> {
+        let mut printing = Printing::start(self.wanted);
+        for order in orders {
+            ctx.check()?;
+            let fixed = self.fixed(&printing.state);
+            let left = match &order.only {
+                Some(only) => printing.unreached.and(only),
+                None => printing.unreached.clone(),
+            };
+            let block = self.layer(&printing, &left, &fixed).lay(order.way);
+            if block.gain > 0 {
+                printing.take(self.setting.job, block);
+            }
+        }
+        Ok(printing)
+    }
+
+    /// Blocks that lay most of `missing` next, each with only what carries that.
+    fn carrying(
         &self,
-        way: &Way,
-        clear: &BitGrid,
-        left: &BitGrid,
-        mut region: BitGrid,
-        standing: &BitGrid,
-    ) -> BitGrid {
+        printing: &Printing,
+        missing: &BitGrid,
+        ctx: &Ctx,
+    ) -> Result<Vec<Order<'a>>, Cancelled> {
+        let fixed = self.fixed(&printing.state);
         let frame = &self.setting.job.frame;
-        let mut clear = clear.and(left);
-        for _ in 0..CLEARING_ROUNDS {
-            if region.is_empty() {
-                return region;
-            }
-            let rest = standing.minus(&region);
-            let scene = Scene::new(frame, &rest, &self.fixed[way.holding]);
-            let free = self.depositable(&scene, way, &region);
-            if free == region {
-                return region;
-            }
-            clear.subtract(&region.minus(&free));
-            region = self.sweep(way, &clear, left, standing);
-        }
-        BitGrid::new(frame.dims)
+        let fine = self.layer(printing, &printing.unreached, &fixed);
+        // A way that is clear at little of what is missing need not be laid.
+        let scenes: Vec<Scene> =
+            fixed.iter().map(|f| Scene::new(frame, &printing.state, f)).collect();
+        let clear: Vec<usize> = self
+            .ways
+            .par_iter()
+            .map(|w| {
+                ctx.check()?;
+                Ok(fine.clear(*w, &scenes[w.holding], missing).count())
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        let mut order: Vec<usize> = (0..self.ways.len()).filter(|i| clear[*i] > 0).collect();
+        order.sort_by_key(|&i| (std::cmp::Reverse(clear[i]), i));
+        order.truncate(2 * REPAIR_WAYS);
+        let mut blocks: Vec<(usize, Order)> = order
+            .par_iter()
+            .map(|&i| {
+                ctx.check()?;
+                let block = fine.lay(self.ways[i]);
+                let reached = block.region.and(missing);
+                let only = self.carriers(&block, &printing.state, &reached);
+                Ok((reached.count(), Order { way: block.way, only: Some(only) }))
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        blocks.retain(|(n, _)| *n > 0);
+        blocks.sort_by_key(|(n, _)| std::cmp::Reverse(*n));
+        blocks.truncate(REPAIR_WAYS);
+        Ok(blocks.into_iter().map(|(_, o)| o).collect())
     }
 
-    /// The maximal good components of `left` along a way.
-    fn sweep(&self, way: &Way, clear: &BitGrid, left: &BitGrid, standing: &BitGrid) -> BitGrid {
+    /// `reached` with one chain of carriers each, down to the state.
+    fn carriers(&self, block: &Block, state: &BitGrid, reached: &BitGrid) -> BitGrid {
         let job = self.setting.job;
-        let table = CarrierTable::new(way.direction, job.rules.overhang_deg);
-        let good = supported(&table, standing, clear);
-        let found = good_components(&job.frame, way.direction, left, &good);
-        drop_crumbs(&found)
-    }
-}
-
-/// Sweeps `left` from the top along `direction`; returns the voxels whose component, when their own
-/// layer was complete, held good voxels only.
-fn good_components(frame: &Frame, direction: Direction, left: &BitGrid, good: &BitGrid) -> BitGrid {
-    let mut out = BitGrid::new(left.dims());
-    let Some((lo, hi)) = left.extent() else { return out };
-    let size: [usize; 3] = std::array::from_fn(|a| hi[a] - lo[a] + 3);
-    let cell = |v: [usize; 3]| {
-        let [x, y, z]: [usize; 3] = std::array::from_fn(|a| v[a] - lo[a] + 1);
-        x + size[0] * (y + size[1] * z)
-    };
-    // Layers of the sweep: whole voxel layers along a grid axis, half a pitch otherwise.
-    let thickness = if direction.is_grid_axis() { frame.pitch } else { frame.pitch / 2.0 };
-    let voxels: Vec<[usize; 3]> = left.iter_ones().collect();
-    let heights: Vec<f64> = voxels.iter().map(|v| direction.dot(frame.center(*v))).collect();
-    let top = heights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let layer = |i: usize| ((top - heights[i]) / thickness + 0.25) as usize;
-    let layers = (0..voxels.len()).map(layer).max().map_or(0, |l| l + 1);
-    let mut starts = vec![0usize; layers + 1];
-    (0..voxels.len()).for_each(|i| starts[layer(i) + 1] += 1);
-    (0..layers).for_each(|l| starts[l + 1] += starts[l]);
-    let mut order = vec![0u32; voxels.len()];
-    let mut next = starts.clone();
-    for i in 0..voxels.len() {
-        order[next[layer(i)]] = i as u32;
-        next[layer(i)] += 1;
-    }
-    const ABSENT: u32 = u32::MAX;
-    let mut parent = vec![ABSENT; size.iter().product()];
-    let mut spoiled = vec![false; voxels.len()];
-    let mut root = vec![0u32; voxels.len()];
-    let offsets: Vec<isize> = (0..27)
-        .filter(|i| *i != 13)
-        .map(|i: isize| {
-            let (x, y, z) = (i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1);
-            x + size[0] as isize * (y + size[1] as isize * z)
-        })
-        .collect();
-    fn find(root: &mut [u32], mut i: u32) -> u32 {
-        while root[i as usize] != i {
-            root[i as usize] = root[root[i as usize] as usize];
-            i = root[i as usize];
-        }
-        i
-    }
-    for l in 0..layers {
-        let members = &order[starts[l]..starts[l + 1]];
-        for &i in members {
-            let v = voxels[i as usize];
-            let c = cell(v);
-            parent[c] = i;
-            root[i as usize] = i;
-            spoiled[i as usize] = !good.get(v);
-            for o in &offsets {
-                let n = parent[c.wrapping_add_signed(*o)];
-                if n != ABSENT {
-                    let (a, b) = (find(&mut root, n), find(&mut root, i));
-                    if a != b {
-                        let (low, high) = (a.min(b), a.max(b));
-                        root[high as usize] = low;
-                        spoiled[low as usize] |= spoiled[high as usize];
+        let table = CarrierTable::new(block.way.direction, job.rules.overhang_deg);
+        let height = |v: [usize; 3]| block.way.direction.dot(job.frame.center(v));
+        let mut voxels: Vec<([usize; 3], f64)> =
+            block.region.iter_ones().map(|v| (v, height(v))).collect();
+        voxels.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let solid = state.or(&block.region);
+        let mut needed = reached.clone();
+        for (v, _) in voxels {
+            if needed.get(v) {
+                for c in table.steepest(&solid, v) {
+                    if block.region.get(c) {
+                        needed.set(c, true);
                     }
                 }
             }
         }
-        for &i in members {
-            let r = find(&mut root, i);
-            if !spoiled[r as usize] {
-                out.set(voxels[i as usize], true);
-            }
-        }
+        needed
     }
-    out
+
+    fn fixed(&self, state: &BitGrid) -> Vec<Vec<DVec3>> {
+        (0..self.setting.holdings.len()).map(|h| self.setting.fixed(h, state)).collect()
+    }
+
+    fn layer<'l>(
+        &'l self,
+        printing: &'l Printing,
+        left: &'l BitGrid,
+        fixed: &'l [Vec<DVec3>],
+    ) -> Layer<'l> {
+        let (job, core) = (self.setting.job, self.wanted.core);
+        Layer { job, state: &printing.state, left, core, fixed }
+    }
 }
 
-/// Keeps the components that are not far smaller than the largest.
-fn drop_crumbs(found: &BitGrid) -> BitGrid {
-    let parts = components(found, Connectivity::Corner26);
-    let largest = parts.sizes().iter().copied().max().unwrap_or(0);
-    let least = COMPONENT_SHARE * largest as f64;
-    let mut kept = BitGrid::new(found.dims());
-    for v in found.iter_ones() {
-        if parts.label_of(v).is_some_and(|l| parts.sizes()[l as usize] as f64 >= least) {
-            kept.set(v, true);
-        }
+impl Printing {
+    fn start(wanted: &Wanted) -> Printing {
+        Printing { steps: Vec::new(), state: wanted.state.clone(), unreached: wanted.added.clone() }
     }
-    kept
-}
 
-fn forward(
-    setting: &Setting,
-    state: &BitGrid,
-    added: &BitGrid,
-    blocks: Vec<Block>,
-    ctx: &Ctx,
-) -> Result<Printing, Cancelled> {
-    let job = setting.job;
-    let mut printing =
-        Printing { steps: Vec::new(), state: state.clone(), unreached: added.clone() };
-    let mut held: Option<(usize, Vec<DVec3>)> = None;
-    for block in blocks {
-        ctx.check()?;
-        let way = block.way;
-        if held.as_ref().is_none_or(|(h, _)| *h != way.holding) {
-            held = Some((way.holding, setting.fixed(way.holding, &printing.state)));
-        }
-        let fixed = held.as_ref().map_or(&[][..], |(_, f)| f);
-        // What an earlier block could not add is tried again with every later one.
-        let region = lay(job, &printing.state, &block.region, fixed, &way);
-        if region.is_empty() {
-            continue;
-        }
-        let lowest = region
-            .iter_ones()
-            .map(|v| way.direction.dot(job.frame.center(v)))
-            .fold(f64::INFINITY, f64::min);
-        printing.state.union_with(&region);
-        printing.unreached.subtract(&region);
-        printing.steps.push(Step {
+    fn take(&mut self, job: &Job, block: Block) {
+        let Way { direction, holding, tool } = block.way;
+        let heights = block.region.iter_ones().map(|v| direction.dot(job.frame.center(v)));
+        let lowest = heights.fold(f64::INFINITY, f64::min);
+        self.state.union_with(&block.region);
+        self.unreached.subtract(&block.region);
+        self.steps.push(Step {
             kind: StepKind::Additive,
-            tool: way.tool.name.clone(),
-            direction: way.direction,
-            holding: way.holding,
-            region,
-            block: printing.steps.len(),
+            tool: tool.name.clone(),
+            direction,
+            holding,
+            region: block.region,
+            block: self.steps.len(),
             origin: Origin {
-                plane: Some(Plane {
-                    normal: way.direction,
-                    offset: lowest - job.frame.pitch / 2.0,
-                }),
+                plane: Some(Plane { normal: direction, offset: lowest - job.frame.pitch / 2.0 }),
                 action: None,
             },
         });
     }
-    Ok(printing)
 }
 
-/// The part of `wanted` that is clear and carried when laid from below.
-fn lay(
-    job: &crate::plan::Job,
-    state: &BitGrid,
-    wanted: &BitGrid,
-    fixed: &[DVec3],
-    way: &Way,
-) -> BitGrid {
-    let Some(within) = world_extent(wanted, &job.frame) else { return wanted.clone() };
-    let scene = Scene::new(&job.frame, state, fixed);
-    let map = nozzle_map(&scene, &within, way.tool, way.direction, job.rules.nozzle_dip_mm);
-    let clear = reachable(&map, wanted, &job.frame);
-    let table = CarrierTable::new(way.direction, job.rules.overhang_deg);
-    let mut voxels: Vec<([usize; 3], f64)> =
-        clear.iter_ones().map(|v| (v, way.direction.dot(job.frame.center(v)))).collect();
-    voxels.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let mut solid = state.clone();
-    let mut region = BitGrid::new(state.dims());
-    for (v, _) in voxels {
-        if table.carries(&solid, v) {
-            solid.set(v, true);
-            region.set(v, true);
-        }
+/// The ways along `directions` with one nozzle, each in the first holding that can point there.
+fn ways_along<'a>(setting: &Setting<'a>, directions: &[Direction], tool: &'a Tool) -> Vec<Way<'a>> {
+    let holding = |d: &Direction| (0..setting.holdings.len()).find(|h| setting.can_point(*h, *d));
+    directions
+        .iter()
+        .filter_map(|d| Some(Way { direction: *d, holding: holding(d)?, tool }))
+        .collect()
+}
+
+/// A block that is, or could be, laid.
+struct Block<'a> {
+    way: Way<'a>,
+    region: BitGrid,
+    /// Voxels of it beyond skin.
+    gain: usize,
+}
+
+/// What can be laid on a state, on one grid.
+struct Layer<'s> {
+    job: &'s Job,
+    state: &'s BitGrid,
+    left: &'s BitGrid,
+    core: &'s BitGrid,
+    /// Fixed points of each holding.
+    fixed: &'s [Vec<DVec3>],
+}
+
+impl Layer<'_> {
+    /// Ways that lay any of the core, the one that lays most first.
+    fn ranked<'a>(&self, ways: &[Way<'a>], ctx: &Ctx) -> Result<Vec<Way<'a>>, Cancelled> {
+        let gains: Vec<usize> = ways
+            .par_iter()
+            .map(|way| {
+                ctx.check()?;
+                Ok(self.lay(*way).gain)
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        let mut order: Vec<usize> = (0..ways.len()).filter(|i| gains[*i] > 0).collect();
+        order.sort_by_key(|&i| (std::cmp::Reverse(gains[i]), i));
+        Ok(order.into_iter().map(|i| ways[i]).collect())
     }
-    region
+
+    /// The block that lays most of the core; of equals the first, none where nothing is laid.
+    fn best<'a>(&self, ways: &[Way<'a>], ctx: &Ctx) -> Result<Option<Block<'a>>, Cancelled> {
+        let gains: Vec<usize> = ways
+            .par_iter()
+            .map(|way| {
+                ctx.check()?;
+                Ok(self.lay(*way).gain)
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        let best = (0..ways.len()).max_by_key(|&i| (gains[i], std::cmp::Reverse(i)));
+        Ok(best.filter(|i| gains[*i] > 0).map(|i| self.lay(ways[i])))
+    }
+
+    /// Where a way's nozzle stands clear.
+    fn clear(&self, way: Way, scene: &Scene, candidates: &BitGrid) -> BitGrid {
+        let dip = self.job.rules.nozzle_dip_mm;
+        let map = nozzle_map(scene, candidates, way.tool, way.direction, dip);
+        reachable(&map, candidates, &self.job.frame)
+    }
+
+    /// All that one way lays, from below.
+    fn lay<'a>(&self, way: Way<'a>) -> Block<'a> {
+        let job = self.job;
+        let scene = Scene::new(&job.frame, self.state, &self.fixed[way.holding]);
+        let clear = self.clear(way, &scene, self.left);
+        let table = CarrierTable::new(way.direction, job.rules.overhang_deg);
+        let mut voxels: Vec<([usize; 3], f64)> =
+            clear.iter_ones().map(|v| (v, way.direction.dot(job.frame.center(v)))).collect();
+        voxels.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let mut solid = self.state.clone();
+        let mut region = BitGrid::new(self.state.dims());
+        for (v, _) in voxels {
+            if table.carries(&solid, v) && joined(&solid, v) {
+                solid.set(v, true);
+                region.set(v, true);
+            }
+        }
+        Block { way, gain: region.count_and(self.core), region }
+    }
+}
+
+/// Whether a voxel has a solid face or edge neighbour: a carrier alone may touch at a corner only,
+/// and what hangs by a corner is not connected.
+fn joined(solid: &BitGrid, v: [usize; 3]) -> bool {
+    let p = v.map(|c| c as i64);
+    (0..27).any(|i: i64| {
+        let o = [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1];
+        let far = o.iter().map(|c| c.abs()).sum::<i64>();
+        (1..=2).contains(&far) && solid.get_or_empty([p[0] + o[0], p[1] + o[1], p[2] + o[2]])
+    })
 }

@@ -1,0 +1,347 @@
+//! Grey-scale dilation and erosion of depth images by a round kernel.
+//!
+//! out(c) = op over the kernel's cells o of image(c + o) + value(o), for the wanted cells c only;
+//! cells outside the image have no part in it. The kernel depends on the distance alone, so rows
+//! above and below share their work, cells left and right share their addition, and a run of one
+//! value (the flat of a holder) takes a running extreme instead of one pass a cell. Extremes of
+//! f32 are exact: every order of evaluation gives the same bytes.
+
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Cells per register block of the inner loop.
+const BLOCK: usize = 16;
+
+/// Wanted runs closer than this are computed as one; the gap costs less than a second start.
+const JOIN: usize = 24;
+
+/// A flat run shorter than this is cheaper cell by cell.
+const LEAST_FLAT: usize = 4;
+
+#[derive(Clone, Copy, PartialEq)]
+pub enum Op {
+    Max,
+    Min,
+}
+
+/// An image by rows of `width` cells.
+pub struct Image<'a> {
+    pub width: usize,
+    pub cells: &'a [f32],
+}
+
+/// The wanted cells of an image: disjoint ascending runs per row.
+#[derive(Clone)]
+pub struct Spans {
+    rows: Vec<Vec<Range<usize>>>,
+}
+
+impl Spans {
+    pub fn all(width: usize, height: usize) -> Spans {
+        let whole = 0..width;
+        Spans { rows: vec![vec![whole]; height] }
+    }
+
+    /// Runs of a mask of rows of `width` cells.
+    pub fn of(mask: &[bool], width: usize) -> Spans {
+        let rows = mask
+            .chunks(width)
+            .map(|row| {
+                let mut runs: Vec<Range<usize>> = Vec::new();
+                for i in (0..width).filter(|i| row[*i]) {
+                    push(&mut runs, i..i + 1);
+                }
+                runs
+            })
+            .collect();
+        Spans { rows }
+    }
+
+    /// The cells at most `reach` cells away along each axis, within `width`.
+    pub fn grown(&self, reach: usize, width: usize) -> Spans {
+        let rows = (0..self.rows.len())
+            .map(|j| {
+                let near = j.saturating_sub(reach)..(j + reach + 1).min(self.rows.len());
+                let mut wide: Vec<Range<usize>> = self.rows[near]
+                    .iter()
+                    .flatten()
+                    .map(|s| s.start.saturating_sub(reach)..(s.end + reach).min(width))
+                    .collect();
+                wide.sort_by_key(|s| s.start);
+                let mut runs = Vec::new();
+                wide.into_iter().for_each(|s| push(&mut runs, s));
+                runs
+            })
+            .collect();
+        Spans { rows }
+    }
+
+    pub fn rows(&self) -> impl Iterator<Item = &Vec<Range<usize>>> {
+        self.rows.iter()
+    }
+}
+
+/// Appends a run that starts no earlier than the last one.
+fn push(runs: &mut Vec<Range<usize>>, run: Range<usize>) {
+    match runs.last_mut() {
+        Some(last) if run.start <= last.end + JOIN => last.end = last.end.max(run.end),
+        _ => runs.push(run),
+    }
+}
+
+/// One row of a kernel at ±`j` rows.
+struct KernelRow {
+    j: usize,
+    /// Half width and value of the run of equal values in its middle.
+    flat: Option<(usize, f32)>,
+    /// (i, value) at ±i cells beside that run.
+    beside: Vec<(usize, f32)>,
+}
+
+/// A round kernel: values by distance.
+pub struct Kernel {
+    reach: usize,
+    rows: Vec<KernelRow>,
+}
+
+impl Kernel {
+    /// Every `stride`-th cell up to `reach` along each axis where `value` of its distance (cells)
+    /// is something.
+    pub fn of(reach: usize, stride: usize, value: impl Fn(f64) -> Option<f32>) -> Kernel {
+        let mut rows = Vec::new();
+        for j in (0..=reach).step_by(stride) {
+            let mut cells: Vec<(usize, f32)> = (0..=reach)
+                .step_by(stride)
+                .filter_map(|i| Some((i, value(((i * i + j * j) as f64).sqrt())?)))
+                .collect();
+            let mut flat = None;
+            if let (1, Some(&(0, middle))) = (stride, cells.first()) {
+                let run = cells.iter().take_while(|(_, v)| *v == middle).count();
+                if run > LEAST_FLAT {
+                    flat = Some((run - 1, middle));
+                    cells.drain(..run);
+                }
+            }
+            if flat.is_some() || !cells.is_empty() {
+                rows.push(KernelRow { j, flat, beside: cells });
+            }
+        }
+        Kernel { reach, rows }
+    }
+}
+
+/// Filters `image` into the `spans` of `out`, an image of `width` whose cell (0, 0) lies at `at`
+/// cells from the image's own; what `out` holds takes part.
+pub fn filter(
+    op: Op,
+    image: &Image,
+    at: (isize, isize),
+    width: usize,
+    out: &mut [f32],
+    spans: &Spans,
+    kernel: &Kernel,
+) {
+    out.par_chunks_mut(width).zip(&spans.rows).enumerate().for_each_init(
+        Scratch::default,
+        |scratch, (row, (out, spans))| {
+            for span in spans {
+                let start = (at.0 + span.start as isize, at.1 + row as isize);
+                let out = &mut out[span.clone()];
+                match op {
+                    Op::Max => run::<Largest>(image, start, out, kernel, scratch),
+                    Op::Min => run::<Least>(image, start, out, kernel, scratch),
+                }
+            }
+        },
+    );
+}
+
+trait Extreme {
+    /// Loses against everything.
+    const NONE: f32;
+    fn of(a: f32, b: f32) -> f32;
+}
+
+struct Largest;
+struct Least;
+
+impl Extreme for Largest {
+    const NONE: f32 = f32::NEG_INFINITY;
+    #[inline(always)]
+    fn of(a: f32, b: f32) -> f32 {
+        if a > b { a } else { b }
+    }
+}
+
+impl Extreme for Least {
+    const NONE: f32 = f32::INFINITY;
+    #[inline(always)]
+    fn of(a: f32, b: f32) -> f32 {
+        if a < b { a } else { b }
+    }
+}
+
+#[derive(Default)]
+struct Scratch {
+    /// Extremes so far, the run rounded up to whole blocks.
+    best: Vec<f32>,
+    /// Two rows of the image made one, `reach` cells wider on either side.
+    rows: Vec<f32>,
+    running: Vec<f32>,
+}
+
+/// One run of cells that starts at `start` of the image.
+fn run<E: Extreme>(
+    image: &Image,
+    start: (isize, isize),
+    out: &mut [f32],
+    kernel: &Kernel,
+    scratch: &mut Scratch,
+) {
+    let blocks = out.len().div_ceil(BLOCK);
+    let Scratch { best, rows, running } = scratch;
+    best.clear();
+    best.extend_from_slice(out);
+    best.resize(blocks * BLOCK, E::NONE);
+    for k in &kernel.rows {
+        rows.clear();
+        rows.resize(blocks * BLOCK + 2 * kernel.reach, E::NONE);
+        let left = start.0 - kernel.reach as isize;
+        let mut any = merge::<E>(image, left, start.1 + k.j as isize, rows);
+        if k.j > 0 {
+            any |= merge::<E>(image, left, start.1 - k.j as isize, rows);
+        }
+        if !any {
+            continue;
+        }
+        if let Some((half, value)) = k.flat {
+            running.clear();
+            running.extend_from_slice(&rows[kernel.reach - half..]);
+            running_extreme::<E>(running, 2 * half + 1);
+            for (b, r) in best.iter_mut().zip(running.iter()) {
+                *b = E::of(r + value, *b);
+            }
+        }
+        for (c, block) in best.chunks_exact_mut(BLOCK).enumerate() {
+            let at = kernel.reach + c * BLOCK;
+            let mut acc = [E::NONE; BLOCK];
+            acc.copy_from_slice(block);
+            for &(i, value) in &k.beside {
+                let (a, b) = (&rows[at - i..][..BLOCK], &rows[at + i..][..BLOCK]);
+                for x in 0..BLOCK {
+                    acc[x] = E::of(E::of(a[x], b[x]) + value, acc[x]);
+                }
+            }
+            block.copy_from_slice(&acc);
+        }
+    }
+    out.copy_from_slice(&best[..out.len()]);
+}
+
+/// Takes the image's row `j` from column `left` into `rows`; says whether there was any.
+fn merge<E: Extreme>(image: &Image, left: isize, j: isize, rows: &mut [f32]) -> bool {
+    let height = image.cells.len().checked_div(image.width).unwrap_or(0) as isize;
+    if j < 0 || j >= height {
+        return false;
+    }
+    let len = rows.len() as isize;
+    let from = (-left).clamp(0, len);
+    let to = (image.width as isize - left).clamp(from, len);
+    let source = (j * image.width as isize + left + from) as usize;
+    let n = (to - from) as usize;
+    if n == 0 {
+        return false;
+    }
+    for (r, h) in rows[from as usize..to as usize].iter_mut().zip(&image.cells[source..][..n]) {
+        *r = E::of(*r, *h);
+    }
+    true
+}
+
+/// cells(x) becomes the extreme of cells(x .. x + length), by doubling; the last ones of the
+/// array stand for shorter runs.
+fn running_extreme<E: Extreme>(cells: &mut [f32], length: usize) {
+    let mut covered = 1;
+    while covered < length {
+        let step = covered.min(length - covered);
+        for x in 0..cells.len().saturating_sub(step) {
+            cells[x] = E::of(cells[x], cells[x + step]);
+        }
+        covered += step;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn naive(op: Op, image: &Image, at: (isize, isize), c: (usize, usize), k: &Naive) -> f32 {
+        let height = (image.cells.len() / image.width) as isize;
+        let mut best = if op == Op::Max { f32::NEG_INFINITY } else { f32::INFINITY };
+        for &(i, j, value) in k {
+            let x = at.0 + c.0 as isize + i;
+            let y = at.1 + c.1 as isize + j;
+            if (0..image.width as isize).contains(&x) && (0..height).contains(&y) {
+                let h = image.cells[(x + y * image.width as isize) as usize] + value;
+                best = if op == Op::Max { best.max(h) } else { best.min(h) };
+            }
+        }
+        best
+    }
+
+    type Naive = Vec<(isize, isize, f32)>;
+
+    proptest! {
+        #[test]
+        fn equals_the_definition(
+            width in 1usize..50, height in 1usize..20, out_width in 1usize..60,
+            out_height in 1usize..12, at in (-30isize..30, -12isize..12), reach in 0usize..14,
+            stride in 1usize..3, flat in 0f64..14.0, seed in any::<u64>(), max in any::<bool>(),
+        ) {
+            let mut state = seed;
+            let mut next = || {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                ((state >> 33) % 1000) as f32 / 8.0
+            };
+            let cells: Vec<f32> = (0..width * height).map(|_| next()).collect();
+            let mask: Vec<bool> = (0..out_width * out_height).map(|_| next() < 8.0).collect();
+            let image = Image { width, cells: &cells };
+            let value = |d: f64| {
+                (d <= reach as f64).then_some(if d <= flat { 2.0 } else { d as f32 })
+            };
+            let mut all = Naive::new();
+            let r = reach as isize;
+            for j in (-r..=r).filter(|j| j.unsigned_abs() % stride == 0) {
+                for i in (-r..=r).filter(|i| i.unsigned_abs() % stride == 0) {
+                    if let Some(v) = value(((i * i + j * j) as f64).sqrt()) {
+                        all.push((i, j, v));
+                    }
+                }
+            }
+            let op = if max { Op::Max } else { Op::Min };
+            let none = if max { f32::NEG_INFINITY } else { f32::INFINITY };
+            let spans = Spans::of(&mask, out_width);
+            let mut out = vec![none; out_width * out_height];
+            let kernel = Kernel::of(reach, stride, value);
+            filter(op, &image, at, out_width, &mut out, &spans, &kernel);
+            for c in (0..out.len()).filter(|c| mask[*c]) {
+                let place = (c % out_width, c / out_width);
+                prop_assert_eq!(out[c], naive(op, &image, at, place, &all), "{:?}", place);
+            }
+        }
+    }
+
+    #[test]
+    fn grown_spans_hold_every_cell_within_reach() {
+        let mut mask = vec![false; 40 * 9];
+        mask[3 + 40 * 4] = true;
+        mask[39 + 40 * 8] = true;
+        let grown = Spans::of(&mask, 40).grown(2, 40);
+        let rows: Vec<_> = grown.rows().cloned().collect();
+        assert!(rows[1].is_empty());
+        assert_eq!(rows[2], [1..6]);
+        assert_eq!(rows[6], [1..6, 37..40]);
+        assert_eq!(rows[8], [37..40]);
+    }
+}
