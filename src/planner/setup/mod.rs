@@ -1,0 +1,369 @@
+//! The setup search: where the target part M* is put in the initial part M, which stays as it is
+//! clamped (W2V Sec. 5, App. D).
+//!
+//! | symbol | here | meaning |
+//! |---|---|---|
+//! | Ṽ_R | `kept` | M ∩ M*, less the pieces that nothing would hold |
+//! | T | [`Candidate::score_coarse`] | faces of M* with n · d_v ≥ −sin 50°, d_v = +z |
+//! | B | `interface` | what of Ṽ_R's surface material is added on: the initial printing bases |
+//! | Min_B, Max_V | `lowest_mm`, `top_mm` | lowest point of B, highest of Ṽ_R, over the base plane |
+//!
+//! Method. *Coarse*: each rotation is put on z = 0 with the centroid of its contact (everything
+//! within the grip height) over that of M, and scored by
+//! Score₁ = 0.4 Vol(Ṽ_R) + 0.6 Area(T) (Eq. 6). *Fine*: the five best are shifted by −2..2 tenths
+//! of their extent along x and y and scored by
+//! Score₂ = 0.4 Vol(Ṽ_R) + 0.6 (Min_B / Max_V + (1 − Area(B) / Area(M*))²) (Eq. 7).
+//! Volumes and areas are those of M* = 1, so every term lies in 0..1 and Score₂ in 0..1.6. Where
+//! nothing has to be printed on Ṽ_R, B is empty and both terms of the bases are 1; where nothing
+//! of Ṽ_R is held, both scores' volume is 0 and Score₂ is 0 as a whole.
+//!
+//! What differs from the paper, and why:
+//! - Its 100 directions leave the turn about each open; here 100 rotations are spread over all
+//!   rotations. Beside them stand the pose of the file and up to eight flat faces the target can
+//!   rest on, each at twelve headings of which the best is ranked: a spread of 100 has gaps of
+//!   40°, and parts stand on faces.
+//! - The pose of the files, lowered or raised onto the base, always takes part in the fine stage:
+//!   files often come aligned.
+//! - The best placement of each carried rotation is scored again on a finer grid, and the winner
+//!   is shifted and turned about z by ever halved steps while Score₂ gains: a tenth of the extent
+//!   is coarser than any tool.
+//! - Min_B leaves out a speck of the interface, which would decide it by the grid alone.
+//!
+//! Guarantees: the same answer at any thread count; the target's lowest point is on z = 0; of
+//! equal poses that of the files wins. Not guaranteed: the best of all poses, or that the plan
+//! reuses what the pose allows. A mesh whose triangles face at random has no Area(T) to speak of.
+//! Millimetres and radians; the target stands in the pose of its file when it comes in.
+
+mod measure;
+mod rotations;
+mod stance;
+#[cfg(test)]
+mod tests;
+
+use crate::base::{Aabb, Cancelled, Ctx, DAffine3, DMat3, DVec2};
+use crate::machine::HoldingMode;
+use crate::mesh::TriMesh;
+use crate::planner::PlanError;
+use measure::{Measured, Pair, Sampling};
+use rayon::prelude::*;
+use stance::Stance;
+
+/// Weights of both scores (W2V App. D): of the volume, and of the printing bases.
+const VOLUME_WEIGHT: f64 = 0.4;
+const BASE_WEIGHT: f64 = 0.6;
+
+/// Faces to rest on that are tried beside the spread.
+const RESTING: usize = 8;
+
+/// Headings at which a face to rest on is tried: 30° steps, so that quarter turns are among them
+/// and the refinement's first turn of 15° closes the gaps.
+const HEADINGS: usize = 12;
+
+/// Shifts of the fine stage, in tenths of the extent along an axis; none first, so that it wins
+/// among equals.
+const TENTHS: [f64; 5] = [0.0, -1.0, 1.0, -2.0, 2.0];
+
+/// Steps of the refinement: from half a fine shift, halved each time, to below a thousandth of the
+/// extent; from half a heading to a quarter of a degree.
+const HALVINGS: i32 = 7;
+
+/// Most moves at one step, which bounds the time where the score climbs slowly.
+const MOST_MOVES: usize = 4;
+
+/// What Score₂ must gain for a move. Below, the staircase of the grid moves an aligned part; far
+/// above, half a per cent of the extent stays unrefined.
+const LEAST_GAIN: f64 = 1e-3;
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct SetupOptions {
+    /// Rotations of the spread (W2V: 100).
+    pub rotations: usize,
+    /// Best rotations that are shifted (W2V: 5).
+    pub carried: usize,
+    /// Height over the base plane up to which the part counts as held, mm; never less than the
+    /// search's own grid can see.
+    pub grip_mm: f64,
+    pub holding: HoldingMode,
+}
+
+impl Default for SetupOptions {
+    fn default() -> Self {
+        SetupOptions { rotations: 100, carried: 5, grip_mm: 2.0, holding: HoldingMode::Base }
+    }
+}
+
+/// A placement of the target and what it scores.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// From the standing target to its place.
+    pub transform: DAffine3,
+    /// From the centroid of the initial part's contact to that of the target's, mm.
+    pub shift: DVec2,
+    /// Score₁ of the rotation, before it was shifted.
+    pub score_coarse: f64,
+    pub score_fine: f64,
+    /// Volume of Ṽ_R by the target's.
+    pub reused_share: f64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct SetupReport {
+    pub winner: Candidate,
+    /// The carried rotations and the pose of the files, each at its best shift before the
+    /// refinement, best first.
+    pub best: Vec<Candidate>,
+    /// Placements measured.
+    pub tried: usize,
+}
+
+impl SetupReport {
+    /// One sentence for people.
+    pub fn note(&self) -> String {
+        let w = &self.winner;
+        if w.reused_share == 0.0 {
+            return format!(
+                "Setup: in none of {} poses is any of the initial part reused; the target keeps \
+                 the pose of its file.",
+                self.tried
+            );
+        }
+        let (axis, degrees) = rotations::axis_angle(&w.transform.matrix3);
+        let rotation = match degrees {
+            0.0 => "as in its file".to_string(),
+            _ => format!("{degrees:.1}° about ({:.2}, {:.2}, {:.2})", axis.x, axis.y, axis.z),
+        };
+        let t = w.transform.translation;
+        format!(
+            "Setup: target's rotation {rotation}, shift ({:.2}, {:.2}, {:.2}) mm, {:.1} % of it \
+             inside the initial part; Score1 {:.3}, Score2 {:.3}; {} poses tried.",
+            t.x,
+            t.y,
+            t.z,
+            100.0 * w.reused_share,
+            w.score_coarse,
+            w.score_fine,
+            self.tried
+        )
+    }
+}
+
+/// Both parts: the initial one clamped on z = 0, the target in the pose of its file.
+struct Problem<'a> {
+    initial: &'a TriMesh,
+    target: &'a TriMesh,
+}
+
+/// A placement on its way through the stages.
+#[derive(Clone, Copy)]
+struct Trial {
+    stance: Stance,
+    /// Where the centroid of its contact is put, mm.
+    at: DVec2,
+    score_coarse: f64,
+    score_fine: f64,
+    share: f64,
+}
+
+/// Finds the target's place in the initial part, which stands on z = 0 as it is clamped.
+///
+/// # Errors
+/// [`PlanError::Unmeasurable`] for a part without a voxel on the search's grid,
+/// [`PlanError::Cancelled`] when the user has asked to stop.
+pub fn search(
+    initial: &TriMesh,
+    target: &TriMesh,
+    options: &SetupOptions,
+    ctx: &Ctx,
+) -> Result<SetupReport, PlanError> {
+    let problem = Problem { initial, target };
+    let pair = Pair::new(&problem, options, ctx)?;
+    let stage = Stage { pair: &pair, target, ctx };
+    let anchor = Stance::new(initial, DMat3::IDENTITY, pair.grip_mm).foot;
+
+    let families = families(target, options.rotations, pair.grip_mm);
+    let (mut trials, mut tried) = stage.coarse(&families, anchor, options.carried)?;
+    let fine = stage.fine(&trials)?;
+    tried += fine.1;
+    trials = fine.0;
+    // Stable: among equals the pose of the files, which comes first.
+    trials.sort_by(|a, b| b.score_fine.total_cmp(&a.score_fine));
+    let best = trials.iter().map(|t| t.candidate(anchor)).collect();
+    let (winner, moves) = stage.refine(trials[0])?;
+    Ok(SetupReport { winner: winner.candidate(anchor), best, tried: tried + moves })
+}
+
+/// Stances of which the best is ranked; the pose of the file is the first of the first.
+fn families(target: &TriMesh, spread: usize, grip_mm: f64) -> Vec<Vec<Stance>> {
+    let same_face = |r: &DMat3| r.transpose().z_axis.z > 1.0 - 1e-3;
+    let mut upright = vec![DMat3::IDENTITY];
+    upright.extend(rotations::resting(target, RESTING).into_iter().filter(|r| !same_face(r)));
+    let headings = upright.par_iter().map(|r| {
+        let stance = Stance::new(target, *r, grip_mm);
+        let angle = |i: usize| std::f64::consts::TAU * i as f64 / HEADINGS as f64;
+        (0..HEADINGS).map(|i| if i == 0 { stance } else { stance.turned(angle(i)) }).collect()
+    });
+    let mut families: Vec<Vec<Stance>> = headings.collect();
+    let spread = rotations::spread(spread);
+    families.par_extend(spread.par_iter().map(|r| vec![Stance::new(target, *r, grip_mm)]));
+    families
+}
+
+/// The stages of one search.
+struct Stage<'a> {
+    pair: &'a Pair,
+    target: &'a TriMesh,
+    ctx: &'a Ctx,
+}
+
+impl Stage<'_> {
+    /// The pose of the files, then the best of the rotations with their contacts over `anchor`;
+    /// and how many were tried.
+    fn coarse(
+        &self,
+        families: &[Vec<Stance>],
+        anchor: DVec2,
+        carried: usize,
+    ) -> Result<(Vec<Trial>, usize), Cancelled> {
+        let flat: Vec<(usize, &Stance)> =
+            families.iter().enumerate().flat_map(|(f, s)| s.iter().map(move |s| (f, s))).collect();
+        let facing: Vec<f64> =
+            families.par_iter().map(|f| self.pair.self_supporting(&f[0].rotation)).collect();
+        let trial = |stance: &Stance, at: DVec2, facing: f64| {
+            let share = self.pair.share(&stance.standing_at(at));
+            let score_coarse = VOLUME_WEIGHT * share + BASE_WEIGHT * facing;
+            Trial { stance: *stance, at, score_coarse, score_fine: 0.0, share }
+        };
+        let trials =
+            self.each("setup: rotations", &flat, |(f, s)| (*f, trial(s, anchor, facing[*f])))?;
+        let mut ranked: Vec<Trial> = trials
+            .chunk_by(|a, b| a.0 == b.0)
+            .filter_map(|family| {
+                let held = family.iter().map(|(_, t)| *t).filter(|t| t.share > 0.0);
+                held.reduce(|best, t| if t.score_coarse > best.score_coarse { t } else { best })
+            })
+            .collect();
+        ranked.sort_by(|a, b| b.score_coarse.total_cmp(&a.score_coarse));
+        ranked.truncate(carried);
+        let file = &families[0][0];
+        let mut chosen = vec![trial(file, file.foot, facing[0])];
+        chosen.extend(ranked);
+        Ok((chosen, flat.len() + 1))
+    }
+
+    /// Each trial at its best shift, scored on the fine grid; and how many were tried.
+    fn fine(&self, trials: &[Trial]) -> Result<(Vec<Trial>, usize), Cancelled> {
+        let shifted: Vec<(usize, Trial)> = trials
+            .iter()
+            .enumerate()
+            .flat_map(|(i, t)| {
+                let tenth = self.extent(t) / 10.0;
+                let shifts = TENTHS.iter().flat_map(|x| TENTHS.iter().map(|y| DVec2::new(*x, *y)));
+                shifts.map(move |s| (i, Trial { at: t.at + s * tenth, ..*t }))
+            })
+            .collect();
+        let scored =
+            self.each("setup: shifts", &shifted, |(i, t)| (*i, self.scored(Sampling::Coarse, t)))?;
+        let best: Vec<Trial> = scored
+            .chunk_by(|a, b| a.0 == b.0)
+            .map(|of_one| {
+                of_one[1..].iter().fold(of_one[0].1, |best, (_, t)| {
+                    if t.score_fine > best.score_fine { *t } else { best }
+                })
+            })
+            .collect();
+        let again = self.each("setup: best", &best, |t| self.scored(Sampling::Fine, t))?;
+        Ok((again, shifted.len() + best.len()))
+    }
+
+    /// Shifts and turns a trial while Score₂ gains; and how many moves were tried.
+    fn refine(&self, mut best: Trial) -> Result<(Trial, usize), Cancelled> {
+        let step = self.extent(&best) / 20.0;
+        let turn = std::f64::consts::PI / HEADINGS as f64;
+        let mut tried = 0;
+        self.ctx.begin("setup: refine", HALVINGS as u64);
+        let halvings = (0..HALVINGS).try_for_each(|halving| {
+            let scale = 0.5f64.powi(halving);
+            for _ in 0..MOST_MOVES {
+                self.ctx.check()?;
+                let moves = moves(&best, step * scale, turn * scale);
+                tried += moves.len();
+                let scored: Vec<Trial> =
+                    moves.par_iter().map(|t| self.scored(Sampling::Fine, t)).collect();
+                let next = scored
+                    .iter()
+                    .fold(&scored[0], |a, b| if b.score_fine > a.score_fine { b } else { a });
+                if next.score_fine < best.score_fine + LEAST_GAIN {
+                    break;
+                }
+                best = *next;
+            }
+            self.ctx.advance(1);
+            Ok(())
+        });
+        self.ctx.end();
+        halvings.map(|()| (best, tried))
+    }
+
+    fn scored(&self, sampling: Sampling, t: &Trial) -> Trial {
+        let measured = self.pair.measure(sampling, &t.stance.standing_at(t.at));
+        Trial { score_fine: score_fine(&measured), share: measured.share, ..*t }
+    }
+
+    /// Extent of the turned target along x and y, mm.
+    fn extent(&self, t: &Trial) -> DVec2 {
+        let used = self.target.triangles().iter().flatten();
+        let turned = used.map(|&i| t.stance.rotation * self.target.vertices()[i as usize]);
+        Aabb::of(turned).size().truncate()
+    }
+
+    /// Applies `f` to all in parallel, in order, as one stage of the progress.
+    fn each<T: Sync, R: Send>(
+        &self,
+        stage: &str,
+        items: &[T],
+        f: impl Fn(&T) -> R + Sync,
+    ) -> Result<Vec<R>, Cancelled> {
+        self.ctx.begin(stage, items.len() as u64);
+        let done = items
+            .par_iter()
+            .map(|item| {
+                self.ctx.check()?;
+                let result = f(item);
+                self.ctx.advance(1);
+                Ok(result)
+            })
+            .collect();
+        self.ctx.end();
+        done
+    }
+}
+
+/// The placements one step away.
+fn moves(t: &Trial, step: DVec2, turn: f64) -> [Trial; 6] {
+    let shifted = |by: DVec2| Trial { at: t.at + by, ..*t };
+    let turned = |angle: f64| Trial { stance: t.stance.turned(angle), ..*t };
+    let (x, y) = (DVec2::X * step.x, DVec2::Y * step.y);
+    [shifted(x), shifted(-x), shifted(y), shifted(-y), turned(turn), turned(-turn)]
+}
+
+/// Score₂ (Eq. 7); 0 when nothing is reused.
+fn score_fine(m: &Measured) -> f64 {
+    if m.share == 0.0 {
+        return 0.0;
+    }
+    let height = m.lowest_mm.map_or(1.0, |z| (z / m.top_mm).clamp(0.0, 1.0));
+    let clear = 1.0 - m.base_share;
+    VOLUME_WEIGHT * m.share + BASE_WEIGHT * (height + clear * clear)
+}
+
+impl Trial {
+    fn candidate(&self, anchor: DVec2) -> Candidate {
+        Candidate {
+            transform: self.stance.standing_at(self.at),
+            shift: self.at - anchor,
+            score_coarse: self.score_coarse,
+            score_fine: self.score_fine,
+            reused_share: self.share,
+        }
+    }
+}
