@@ -24,9 +24,10 @@
 //!   40°, and parts stand on faces.
 //! - The pose of the files, lowered or raised onto the base, always takes part in the fine stage:
 //!   files often come aligned.
-//! - The best placement of each carried rotation is scored again on a finer grid, and the winner
-//!   is shifted and turned about z by ever halved steps while Score₂ gains: a tenth of the extent
-//!   is coarser than any tool.
+//! - The best placement of each carried rotation is shifted and turned about z by ever halved
+//!   steps while Score₂ gains, the winner on a finer grid: a tenth of the extent is coarser than
+//!   any tool.
+//! - Placements that reuse far less than the best found do not compete, whatever their Score₂.
 //! - Min_B leaves out a speck of the interface, which would decide it by the grid alone.
 //!
 //! Guarantees: the same answer at any thread count; the target's lowest point is on z = 0; of
@@ -47,6 +48,7 @@ use crate::planner::PlanError;
 use measure::{Measured, Pair, Sampling};
 use rayon::prelude::*;
 use stance::Stance;
+use std::ops::Range;
 
 /// Weights of both scores (W2V App. D): of the volume, and of the printing bases.
 const VOLUME_WEIGHT: f64 = 0.4;
@@ -63,9 +65,17 @@ const HEADINGS: usize = 12;
 /// among equals.
 const TENTHS: [f64; 5] = [0.0, -1.0, 1.0, -2.0, 2.0];
 
-/// Steps of the refinement: from half a fine shift, halved each time, to below a thousandth of the
-/// extent; from half a heading to a quarter of a degree.
-const HALVINGS: i32 = 7;
+/// A placement competes with this share of the largest Ṽ_R found, or more. Ṽ_R bounds what a plan
+/// can reuse, and ten of the twelve parts in W2V Table 1 keep 0.7 of it; Score₂ alone would give up
+/// 0.96 for 0.05 of a target on tiptoe, whose bases are small and high. Near 1, the bases would no
+/// longer have a say.
+const LEAST_SHARE: f64 = 0.7;
+
+/// Halvings of the refinement's steps, which begin at half a fine shift and half a heading: those
+/// of every carried rotation on the coarse grid, and those of the winner on the fine one, down to
+/// below a thousandth of the extent and a quarter of a degree.
+const NUDGES: Range<i32> = 0..4;
+const REFINEMENTS: Range<i32> = 2..7;
 
 /// Most moves at one step, which bounds the time where the score climbs slowly.
 const MOST_MOVES: usize = 4;
@@ -109,8 +119,8 @@ pub struct Candidate {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupReport {
     pub winner: Candidate,
-    /// The carried rotations and the pose of the files, each at its best shift before the
-    /// refinement, best first.
+    /// The carried rotations and the pose of the files, each at its best place on the coarse grid,
+    /// best first; those that reuse too little to compete come last.
     pub best: Vec<Candidate>,
     /// Placements measured.
     pub tried: usize,
@@ -181,15 +191,17 @@ pub fn search(
     let anchor = Stance::new(initial, DMat3::IDENTITY, pair.grip_mm).foot;
 
     let families = families(target, options.rotations, pair.grip_mm);
-    let (mut trials, mut tried) = stage.coarse(&families, anchor, options.carried)?;
-    let fine = stage.fine(&trials)?;
-    tried += fine.1;
-    trials = fine.0;
+    let (carried, rotations) = stage.coarse(&families, anchor, options.carried)?;
+    let (mut carried, floor, shifts) = stage.fine(&carried)?;
+    let nudges = stage.nudge(&mut carried, floor)?;
+    let most = carried.iter().map(|t| t.share).fold(0.0, f64::max);
+    let floor = floor.max(LEAST_SHARE * most);
     // Stable: among equals the pose of the files, which comes first.
-    trials.sort_by(|a, b| b.score_fine.total_cmp(&a.score_fine));
-    let best = trials.iter().map(|t| t.candidate(anchor)).collect();
-    let (winner, moves) = stage.refine(trials[0])?;
-    Ok(SetupReport { winner: winner.candidate(anchor), best, tried: tried + moves })
+    carried.sort_by(|a, b| b.rank(floor).total_cmp(&a.rank(floor)));
+    let best = carried.iter().map(|t| t.candidate(anchor)).collect();
+    let (winner, moves) = stage.refine(carried[0], floor)?;
+    let tried = rotations + shifts + nudges + moves;
+    Ok(SetupReport { winner: winner.candidate(anchor), best, tried })
 }
 
 /// Stances of which the best is ranked; the pose of the file is the first of the first.
@@ -250,8 +262,8 @@ impl Stage<'_> {
         Ok((chosen, flat.len() + 1))
     }
 
-    /// Each trial at its best shift, scored on the fine grid; and how many were tried.
-    fn fine(&self, trials: &[Trial]) -> Result<(Vec<Trial>, usize), Cancelled> {
+    /// Each trial at its best shift, the least share that competes, and how many were tried.
+    fn fine(&self, trials: &[Trial]) -> Result<(Vec<Trial>, f64, usize), Cancelled> {
         let shifted: Vec<(usize, Trial)> = trials
             .iter()
             .enumerate()
@@ -263,45 +275,67 @@ impl Stage<'_> {
             .collect();
         let scored =
             self.each("setup: shifts", &shifted, |(i, t)| (*i, self.scored(Sampling::Coarse, t)))?;
-        let best: Vec<Trial> = scored
-            .chunk_by(|a, b| a.0 == b.0)
-            .map(|of_one| {
-                of_one[1..].iter().fold(of_one[0].1, |best, (_, t)| {
-                    if t.score_fine > best.score_fine { *t } else { best }
-                })
-            })
-            .collect();
-        let again = self.each("setup: best", &best, |t| self.scored(Sampling::Fine, t))?;
-        Ok((again, shifted.len() + best.len()))
+        let floor = LEAST_SHARE * scored.iter().map(|(_, t)| t.share).fold(0.0, f64::max);
+        let of_each = scored.chunk_by(|a, b| a.0 == b.0);
+        let best =
+            of_each.map(|shifts| *best_of(&shifts[0].1, shifts.iter().map(|(_, t)| t), floor));
+        Ok((best.collect(), floor, shifted.len()))
     }
 
-    /// Shifts and turns a trial while Score₂ gains; and how many moves were tried.
-    fn refine(&self, mut best: Trial) -> Result<(Trial, usize), Cancelled> {
-        let step = self.extent(&best) / 20.0;
-        let turn = std::f64::consts::PI / HEADINGS as f64;
+    /// Refines each trial on the coarse grid, so that none loses by the width of a step, and
+    /// scores it on the fine one; and how many moves were tried.
+    fn nudge(&self, trials: &mut [Trial], floor: f64) -> Result<usize, Cancelled> {
+        let nudged = self.each("setup: carried", trials, |t| {
+            let (t, moves) = self.climb(Sampling::Coarse, *t, NUDGES, floor)?;
+            Ok((self.scored(Sampling::Fine, &t), moves + 1))
+        })?;
         let mut tried = 0;
-        self.ctx.begin("setup: refine", HALVINGS as u64);
-        let halvings = (0..HALVINGS).try_for_each(|halving| {
+        for (trial, nudged) in trials.iter_mut().zip(nudged) {
+            let (t, moves) = nudged?;
+            (*trial, tried) = (t, tried + moves);
+        }
+        Ok(tried)
+    }
+
+    /// Refines the winner on the fine grid; and how many moves were tried.
+    fn refine(&self, trial: Trial, floor: f64) -> Result<(Trial, usize), Cancelled> {
+        self.ctx.begin("setup: refine", REFINEMENTS.len() as u64);
+        let refined = self.climb(Sampling::Fine, trial, REFINEMENTS, floor);
+        self.ctx.end();
+        refined
+    }
+
+    /// Shifts and turns a trial while Score₂ gains, by steps halved so many times; and how many
+    /// moves were tried.
+    fn climb(
+        &self,
+        sampling: Sampling,
+        trial: Trial,
+        halvings: Range<i32>,
+        floor: f64,
+    ) -> Result<(Trial, usize), Cancelled> {
+        let step = self.extent(&trial) / 20.0;
+        let turn = std::f64::consts::PI / HEADINGS as f64;
+        let (mut best, mut tried) = (trial, 0);
+        for halving in halvings {
             let scale = 0.5f64.powi(halving);
             for _ in 0..MOST_MOVES {
                 self.ctx.check()?;
                 let moves = moves(&best, step * scale, turn * scale);
                 tried += moves.len();
                 let scored: Vec<Trial> =
-                    moves.par_iter().map(|t| self.scored(Sampling::Fine, t)).collect();
-                let next = scored
-                    .iter()
-                    .fold(&scored[0], |a, b| if b.score_fine > a.score_fine { b } else { a });
-                if next.score_fine < best.score_fine + LEAST_GAIN {
+                    moves.par_iter().map(|t| self.scored(sampling, t)).collect();
+                let next = best_of(&scored[0], scored.iter(), floor);
+                if next.rank(floor) < best.rank(floor) + LEAST_GAIN {
                     break;
                 }
                 best = *next;
             }
-            self.ctx.advance(1);
-            Ok(())
-        });
-        self.ctx.end();
-        halvings.map(|()| (best, tried))
+            if sampling == Sampling::Fine {
+                self.ctx.advance(1);
+            }
+        }
+        Ok((best, tried))
     }
 
     fn scored(&self, sampling: Sampling, t: &Trial) -> Trial {
@@ -338,6 +372,11 @@ impl Stage<'_> {
     }
 }
 
+/// The best ranked of some trials, the first among equals.
+fn best_of<'a>(first: &'a Trial, rest: impl Iterator<Item = &'a Trial>, floor: f64) -> &'a Trial {
+    rest.fold(first, |best, t| if t.rank(floor) > best.rank(floor) { t } else { best })
+}
+
 /// The placements one step away.
 fn moves(t: &Trial, step: DVec2, turn: f64) -> [Trial; 6] {
     let shifted = |by: DVec2| Trial { at: t.at + by, ..*t };
@@ -357,6 +396,11 @@ fn score_fine(m: &Measured) -> f64 {
 }
 
 impl Trial {
+    /// Score₂ among those that compete; below all of them, but by what is reused, otherwise.
+    fn rank(&self, floor: f64) -> f64 {
+        if self.share >= floor { self.score_fine } else { self.share - 1.0 }
+    }
+
     fn candidate(&self, anchor: DVec2) -> Candidate {
         Candidate {
             transform: self.stance.standing_at(self.at),

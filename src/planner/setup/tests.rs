@@ -37,7 +37,7 @@ fn the_same_part_twice_stays_where_it_is() {
     // All of it reused and nothing to print: both terms of the bases are whole.
     assert!((report.winner.score_fine - (0.4 + 0.6 * 2.0)).abs() < 1e-12);
     assert_eq!(report.best.len(), 6);
-    assert!(report.best.is_sorted_by(|a, b| a.score_fine >= b.score_fine));
+    assert_eq!(report.best[0], report.winner, "nothing is left to refine");
     assert!(report.note().contains("as in its file") && report.note().contains("100.0 %"));
 }
 
@@ -141,5 +141,7 @@ proptest! {
             prop_assert!((0.0..=1.6).contains(&c.score_fine));
         }
         prop_assert!(report.winner.score_fine >= report.best[0].score_fine);
+        let most = report.best.iter().map(|c| c.reused_share).fold(0.0, f64::max);
+        prop_assert!(report.winner.reused_share >= LEAST_SHARE * most, "{:?}", report);
     }
 }
