@@ -19,11 +19,13 @@
 //!
 //! What differs from the paper, and why:
 //! - Its 100 directions leave the turn about each open; here 100 rotations are spread over all
-//!   rotations. Beside them stand the pose of the file and up to eight flat faces the target can
-//!   rest on, each at twelve headings of which the best is ranked: a spread of 100 has gaps of
-//!   40°, and parts stand on faces.
+//!   rotations. Beside them stand the rotation of the file and up to eight flat faces the target
+//!   can rest on, each at twelve headings, with contacts, boxes or centroids over each other, of
+//!   which the best is ranked; five of these are carried beside the five of the spread. A spread
+//!   of 100 has gaps of 40°, parts stand on faces, a bracket lies in its block with box over box,
+//!   and Score₁ alone prefers any part on tiptoe, where every face carries itself.
 //! - The pose of the files, lowered or raised onto the base, always takes part in the fine stage:
-//!   files often come aligned.
+//!   files often come aligned. It is left only for a score that is better by more than noise.
 //! - The best placement of each carried rotation is shifted and turned about z by ever halved
 //!   steps while Score₂ gains, the winner on a finer grid: a tenth of the extent is coarser than
 //!   any tool.
@@ -80,6 +82,11 @@ const REFINEMENTS: Range<i32> = 2..7;
 /// Most moves at one step, which bounds the time where the score climbs slowly.
 const MOST_MOVES: usize = 4;
 
+/// What Score₂ must gain for the pose of the files to be left. Files that come aligned are so to a
+/// micrometre, the search only to its grid: without this, a part would be skimmed all over for a
+/// tenth of a millimetre. Much more would keep poses that are worth leaving.
+const FILE_POSE_WORTH: f64 = 0.01;
+
 /// What Score₂ must gain for a move. Below, the staircase of the grid moves an aligned part; far
 /// above, half a per cent of the extent stays unrefined.
 const LEAST_GAIN: f64 = 1e-3;
@@ -88,7 +95,7 @@ const LEAST_GAIN: f64 = 1e-3;
 pub struct SetupOptions {
     /// Rotations of the spread (W2V: 100).
     pub rotations: usize,
-    /// Best rotations that are shifted (W2V: 5).
+    /// Best rotations of the spread that are shifted (W2V: 5), and of the faces to rest on.
     pub carried: usize,
     /// Height over the base plane up to which the part counts as held, mm; never less than the
     /// search's own grid can see.
@@ -172,6 +179,8 @@ struct Trial {
     score_coarse: f64,
     score_fine: f64,
     share: f64,
+    /// Still the pose of the files.
+    is_file_pose: bool,
 }
 
 /// Finds the target's place in the initial part, which stands on z = 0 as it is clamped.
@@ -190,8 +199,8 @@ pub fn search(
     let stage = Stage { pair: &pair, target, ctx };
     let anchor = Stance::new(initial, DMat3::IDENTITY, pair.grip_mm).foot;
 
-    let families = families(target, options.rotations, pair.grip_mm);
-    let (carried, rotations) = stage.coarse(&families, anchor, options.carried)?;
+    let families = families(&problem, options.rotations, anchor, pair.grip_mm);
+    let (carried, rotations) = stage.coarse(&families, options.carried)?;
     let (mut carried, floor, shifts) = stage.fine(&carried)?;
     let nudges = stage.nudge(&mut carried, floor)?;
     let most = carried.iter().map(|t| t.share).fold(0.0, f64::max);
@@ -204,20 +213,49 @@ pub fn search(
     Ok(SetupReport { winner: winner.candidate(anchor), best, tried })
 }
 
-/// Stances of which the best is ranked; the pose of the file is the first of the first.
-fn families(target: &TriMesh, spread: usize, grip_mm: f64) -> Vec<Vec<Stance>> {
+/// Starts of which the best is ranked.
+struct Family {
+    /// Each with where the centroid of its contact is put, mm.
+    starts: Vec<(Stance, DVec2)>,
+    /// On a face of the target's own, or as in the file.
+    rests: bool,
+}
+
+/// The pose of the file and the faces to rest on, then the spread.
+fn families(problem: &Problem, spread: usize, anchor: DVec2, grip_mm: f64) -> Vec<Family> {
+    let Problem { initial, target } = problem;
+    let (middle, centroid) = (initial.bounds().center().truncate(), initial.centroid().truncate());
+    let own_centroid = target.centroid();
     let same_face = |r: &DMat3| r.transpose().z_axis.z > 1.0 - 1e-3;
     let mut upright = vec![DMat3::IDENTITY];
     upright.extend(rotations::resting(target, RESTING).into_iter().filter(|r| !same_face(r)));
-    let headings = upright.par_iter().map(|r| {
-        let stance = Stance::new(target, *r, grip_mm);
-        let angle = |i: usize| std::f64::consts::TAU * i as f64 / HEADINGS as f64;
-        (0..HEADINGS).map(|i| if i == 0 { stance } else { stance.turned(angle(i)) }).collect()
+    let resting = upright.par_iter().map(|r| {
+        let first = Stance::new(target, *r, grip_mm);
+        let headings = (0..HEADINGS).map(|i| {
+            let angle = std::f64::consts::TAU * i as f64 / HEADINGS as f64;
+            if i == 0 { first } else { first.turned(angle) }
+        });
+        let starts = headings.flat_map(|s| {
+            let own_middle = turned_bounds(target, &s.rotation).center().truncate();
+            let own_centroid = (s.rotation * own_centroid).truncate();
+            [anchor, middle + s.foot - own_middle, centroid + s.foot - own_centroid]
+                .map(|at| (s, at))
+        });
+        Family { starts: starts.collect(), rests: true }
     });
-    let mut families: Vec<Vec<Stance>> = headings.collect();
+    let mut families: Vec<Family> = resting.collect();
     let spread = rotations::spread(spread);
-    families.par_extend(spread.par_iter().map(|r| vec![Stance::new(target, *r, grip_mm)]));
+    families.par_extend(spread.par_iter().map(|r| {
+        let start = (Stance::new(target, *r, grip_mm), anchor);
+        Family { starts: vec![start], rests: false }
+    }));
     families
+}
+
+/// Box of the turned mesh, mm.
+fn turned_bounds(mesh: &TriMesh, rotation: &DMat3) -> Aabb {
+    let used = mesh.triangles().iter().flatten();
+    Aabb::of(used.map(|&i| *rotation * mesh.vertices()[i as usize]))
 }
 
 /// The stages of one search.
@@ -228,37 +266,45 @@ struct Stage<'a> {
 }
 
 impl Stage<'_> {
-    /// The pose of the files, then the best of the rotations with their contacts over `anchor`;
+    /// The pose of the files, then the best of the families that rest, then those of the spread;
     /// and how many were tried.
     fn coarse(
         &self,
-        families: &[Vec<Stance>],
-        anchor: DVec2,
+        families: &[Family],
         carried: usize,
     ) -> Result<(Vec<Trial>, usize), Cancelled> {
-        let flat: Vec<(usize, &Stance)> =
-            families.iter().enumerate().flat_map(|(f, s)| s.iter().map(move |s| (f, s))).collect();
-        let facing: Vec<f64> =
-            families.par_iter().map(|f| self.pair.self_supporting(&f[0].rotation)).collect();
-        let trial = |stance: &Stance, at: DVec2, facing: f64| {
+        let of_family = |(f, family): (usize, &Family)| {
+            family.starts.iter().map(move |(s, at)| (f, *s, *at)).collect::<Vec<_>>()
+        };
+        let flat: Vec<(usize, Stance, DVec2)> =
+            families.iter().enumerate().flat_map(of_family).collect();
+        let facing: Vec<f64> = families
+            .par_iter()
+            .map(|f| self.pair.self_supporting(&f.starts[0].0.rotation))
+            .collect();
+        let trial = |stance: Stance, at: DVec2, facing: f64| {
             let share = self.pair.share(&stance.standing_at(at));
             let score_coarse = VOLUME_WEIGHT * share + BASE_WEIGHT * facing;
-            Trial { stance: *stance, at, score_coarse, score_fine: 0.0, share }
+            Trial { stance, at, score_coarse, score_fine: 0.0, share, is_file_pose: false }
         };
-        let trials =
-            self.each("setup: rotations", &flat, |(f, s)| (*f, trial(s, anchor, facing[*f])))?;
-        let mut ranked: Vec<Trial> = trials
-            .chunk_by(|a, b| a.0 == b.0)
-            .filter_map(|family| {
-                let held = family.iter().map(|(_, t)| *t).filter(|t| t.share > 0.0);
-                held.reduce(|best, t| if t.score_coarse > best.score_coarse { t } else { best })
-            })
-            .collect();
-        ranked.sort_by(|a, b| b.score_coarse.total_cmp(&a.score_coarse));
-        ranked.truncate(carried);
-        let file = &families[0][0];
-        let mut chosen = vec![trial(file, file.foot, facing[0])];
-        chosen.extend(ranked);
+        let trials = self.each("setup: rotations", &flat, |(f, stance, at)| {
+            (*f, trial(*stance, *at, facing[*f]))
+        })?;
+        let file = families[0].starts[0].0;
+        let kept = trial(file, file.foot, facing[0]);
+        let mut chosen = vec![Trial { is_file_pose: true, ..kept }];
+        for rests in [true, false] {
+            let mut ranked: Vec<Trial> = trials
+                .chunk_by(|a, b| a.0 == b.0)
+                .filter(|family| families[family[0].0].rests == rests)
+                .filter_map(|family| {
+                    let held = family.iter().map(|(_, t)| *t).filter(|t| t.share > 0.0);
+                    held.reduce(|best, t| if t.score_coarse > best.score_coarse { t } else { best })
+                })
+                .collect();
+            ranked.sort_by(|a, b| b.score_coarse.total_cmp(&a.score_coarse));
+            chosen.extend(ranked.into_iter().take(carried));
+        }
         Ok((chosen, flat.len() + 1))
     }
 
@@ -270,7 +316,7 @@ impl Stage<'_> {
             .flat_map(|(i, t)| {
                 let tenth = self.extent(t) / 10.0;
                 let shifts = TENTHS.iter().flat_map(|x| TENTHS.iter().map(|y| DVec2::new(*x, *y)));
-                shifts.map(move |s| (i, Trial { at: t.at + s * tenth, ..*t }))
+                shifts.map(move |s| (i, if s == DVec2::ZERO { *t } else { t.shifted(s * tenth) }))
             })
             .collect();
         let scored =
@@ -345,9 +391,7 @@ impl Stage<'_> {
 
     /// Extent of the turned target along x and y, mm.
     fn extent(&self, t: &Trial) -> DVec2 {
-        let used = self.target.triangles().iter().flatten();
-        let turned = used.map(|&i| t.stance.rotation * self.target.vertices()[i as usize]);
-        Aabb::of(turned).size().truncate()
+        turned_bounds(self.target, &t.stance.rotation).size().truncate()
     }
 
     /// Applies `f` to all in parallel, in order, as one stage of the progress.
@@ -379,10 +423,9 @@ fn best_of<'a>(first: &'a Trial, rest: impl Iterator<Item = &'a Trial>, floor: f
 
 /// The placements one step away.
 fn moves(t: &Trial, step: DVec2, turn: f64) -> [Trial; 6] {
-    let shifted = |by: DVec2| Trial { at: t.at + by, ..*t };
-    let turned = |angle: f64| Trial { stance: t.stance.turned(angle), ..*t };
     let (x, y) = (DVec2::X * step.x, DVec2::Y * step.y);
-    [shifted(x), shifted(-x), shifted(y), shifted(-y), turned(turn), turned(-turn)]
+    let turned = |angle| Trial { stance: t.stance.turned(angle), is_file_pose: false, ..*t };
+    [t.shifted(x), t.shifted(-x), t.shifted(y), t.shifted(-y), turned(turn), turned(-turn)]
 }
 
 /// Score₂ (Eq. 7); 0 when nothing is reused.
@@ -396,9 +439,16 @@ fn score_fine(m: &Measured) -> f64 {
 }
 
 impl Trial {
+    fn shifted(&self, by: DVec2) -> Trial {
+        Trial { at: self.at + by, is_file_pose: false, ..*self }
+    }
+
     /// Score₂ among those that compete; below all of them, but by what is reused, otherwise.
     fn rank(&self, floor: f64) -> f64 {
-        if self.share >= floor { self.score_fine } else { self.share - 1.0 }
+        if self.share < floor {
+            return self.share - 1.0;
+        }
+        self.score_fine + if self.is_file_pose { FILE_POSE_WORTH } else { 0.0 }
     }
 
     fn candidate(&self, anchor: DVec2) -> Candidate {
