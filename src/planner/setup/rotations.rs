@@ -3,6 +3,7 @@
 
 use crate::base::{DMat3, DVec2, DVec3, Direction};
 use crate::mesh::TriMesh;
+use std::collections::BTreeMap;
 
 /// `n` rotations spread evenly over all rotations, by super-Fibonacci spirals (Alexa 2022): no
 /// randomness, any `n`, and no two close together.
@@ -71,8 +72,8 @@ const FACE_DEPTH: f64 = 1e-3;
 /// Least area of a face to stand on, as a share of the surface.
 const LEAST_FACE: f64 = 2e-3;
 
-/// Directions kept apart while faces are collected; on finely curved parts the largest triangles
-/// take the places, and the rest is no face to stand on.
+/// Directions that are tried for a face; each costs a pass over the mesh. A face with less surface
+/// facing its way than this many others is not found.
 const MOST_DIRECTIONS: usize = 64;
 
 /// The rotations that put the target on one of its own flat faces, at most `most`, those with the
@@ -100,15 +101,22 @@ fn is_one_face(a: DVec3, b: DVec3) -> bool {
     a.dot(b) >= FACE_ANGLE_DEG.to_radians().cos()
 }
 
-/// Outward directions of the largest triangles, each once.
+/// The directions most of the surface faces, each once. Normals are gathered in the cells of a
+/// lattice, by area: the largest triangles of a turned part are on its many-sided round faces.
 fn face_directions(mesh: &TriMesh, outward: f64) -> Vec<DVec3> {
-    let mut triangles: Vec<(f64, DVec3)> = (0..mesh.triangles().len())
-        .map(|t| outward * mesh.area_normal(t))
-        .filter_map(|n| Some((n.length(), n.try_normalize()?)))
-        .collect();
-    triangles.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let cell = FACE_ANGLE_DEG.to_radians();
+    let mut cells: BTreeMap<[i64; 3], DVec3> = BTreeMap::new();
+    for t in 0..mesh.triangles().len() {
+        let normal = outward * mesh.area_normal(t);
+        if let Some(unit) = normal.try_normalize() {
+            let key = (unit / cell).round().to_array().map(|c| c as i64);
+            *cells.entry(key).or_default() += normal;
+        }
+    }
+    let mut gathered: Vec<DVec3> = cells.into_values().collect();
+    gathered.sort_by(|a, b| b.length().total_cmp(&a.length()));
     let mut directions: Vec<DVec3> = Vec::new();
-    for (_, n) in triangles {
+    for n in gathered.into_iter().filter_map(|n| n.try_normalize()) {
         if directions.len() == MOST_DIRECTIONS {
             break;
         }
@@ -224,6 +232,42 @@ mod tests {
         assert_eq!(all[0], DMat3::IDENTITY);
         let height = |r: &DMat3| (*r * DVec3::new(10.0, 20.0, 5.0)).z.abs();
         assert_eq!(all.iter().map(height).collect::<Vec<_>>(), [5.0, 5.0, 10.0, 10.0, 20.0, 20.0]);
+    }
+
+    #[test]
+    fn the_ends_of_a_finely_cut_bar_are_found_among_its_many_sides() {
+        const SIDES: u32 = 200;
+        const RINGS: u32 = 12;
+        // Ends in rings of small triangles, sides in large ones.
+        let mut vertices = Vec::new();
+        for (level, z) in [(0, 0.0), (1, 40.0)] {
+            for ring in 0..=RINGS {
+                let r = 10.0 * f64::from(ring) / f64::from(RINGS);
+                let angle = |i: u32| std::f64::consts::TAU * f64::from(i) / f64::from(SIDES);
+                vertices.extend(
+                    (0..SIDES).map(|i| DVec3::new(r * angle(i).cos(), r * angle(i).sin(), z)),
+                );
+            }
+            assert_eq!(vertices.len() as u32, (level + 1) * (RINGS + 1) * SIDES);
+        }
+        let at = |level: u32, ring: u32, i: u32| (level * (RINGS + 1) + ring) * SIDES + i % SIDES;
+        let mut triangles = Vec::new();
+        for i in 0..SIDES {
+            let (a, b) = (at(0, RINGS, i), at(0, RINGS, i + 1));
+            let (c, d) = (at(1, RINGS, i), at(1, RINGS, i + 1));
+            triangles.extend([[a, b, d], [a, d, c]]);
+            for ring in 0..RINGS {
+                let quad = |l| {
+                    [at(l, ring, i), at(l, ring + 1, i), at(l, ring + 1, i + 1), at(l, ring, i + 1)]
+                };
+                let ([p, q, r, s], [t, u, v, w]) = (quad(0), quad(1));
+                triangles.extend([[p, r, q], [p, s, r], [t, u, v], [t, v, w]]);
+            }
+        }
+        let m = TriMesh::new(vertices, triangles).unwrap();
+        let all = resting(&m, 8);
+        assert_eq!(all[0], DMat3::IDENTITY);
+        assert_eq!(all[1], onto(DVec3::Z, DVec3::NEG_Z));
     }
 
     #[test]
