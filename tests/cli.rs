@@ -262,6 +262,39 @@ fn the_same_part_twice_needs_no_step() {
 }
 
 #[test]
+fn the_setup_is_searched_unless_it_is_to_be_kept() {
+    let out = tempfile::tempdir().unwrap();
+    let (turned, dir) = (out.path().join("turned.obj"), out.path().join("d"));
+    // A quarter turn about z and away from the initial part: without a search nothing fits.
+    let target = fs::read_to_string("fixtures/block_bracket_target.obj").unwrap();
+    let turn = |line: &str| match line.split_whitespace().collect::<Vec<_>>()[..] {
+        ["v", x, y, z] => {
+            let [x, y, z] = [x, y, z].map(|c| c.parse::<f64>().unwrap());
+            format!("v {} {} {}\n", 300.0 - y, x - 200.0, z + 7.0)
+        }
+        _ => format!("{line}\n"),
+    };
+    fs::write(&turned, target.lines().map(turn).collect::<String>()).unwrap();
+    let mut command = hmplan();
+    command.args(["plan", "fixtures/block_bracket_initial.obj"]).arg(&turned);
+    command.args(["--resolution", "1.5", "-o"]).arg(&dir);
+    let output = command.output().unwrap();
+    let stdout = String::from_utf8(output.stdout).unwrap();
+    assert!(matches!(output.status.code(), Some(0 | 2)), "{stdout}");
+    assert!(stdout.contains("Setup: "), "{stdout}");
+    let file = read_plan(&dir);
+    assert_eq!(file.command.setup, "search");
+    assert!(file.summary.notes[0].starts_with("Setup: "), "{:?}", file.summary.notes);
+    assert!(file.summary.seconds.setup.is_some());
+    assert!(file.summary.reuse_initial.unwrap() > 0.9, "{:?}", file.summary);
+    let z = file.inputs.target.transform[11];
+    assert!((z + 7.0).abs() < 1e-6, "as it stood, on the base: {z}");
+    // The plan is judged in the pose that was found, without a search of its own.
+    let verified = hmplan().arg("verify").arg(&dir).output().unwrap();
+    assert_eq!(verified.status.code(), output.status.code());
+}
+
+#[test]
 fn a_failed_run_leaves_the_earlier_plan_untouched() {
     let out = tempfile::tempdir().unwrap();
     let dir = out.path().join("d");

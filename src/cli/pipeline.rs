@@ -4,11 +4,12 @@
 use super::config::PlanConfig;
 use super::exit::Failure;
 use super::plan::{Clock, digest};
-use hmplan::base::{Ctx, DAffine3};
+use hmplan::base::Ctx;
 use hmplan::gcode::{self, CheckReport, PostError, Program};
 use hmplan::mesh::TriMesh;
 use hmplan::plan::{Job, Plan, PlanFile};
-use hmplan::planner::{PlanError, reman};
+use hmplan::planner::setup::{SetupOptions, SetupReport};
+use hmplan::planner::{PlanError, reman, setup};
 use hmplan::report::{PlannerFigures, RuleLine};
 use hmplan::toolpath::{self, ToolpathError};
 use hmplan::verify::Verdict;
@@ -22,9 +23,16 @@ pub struct Posted {
     pub rules: Vec<RuleLine>,
 }
 
-/// The motion that puts the target where it reuses most of the initial part.
-pub fn setup(_initial: &TriMesh, _target: &TriMesh, _ctx: &Ctx) -> Result<DAffine3, Failure> {
-    Err(Failure::input("the setup search is not in this version; give --setup keep"))
+/// Searches the place of the target in the initial part, both standing.
+pub fn search_setup(
+    initial: &TriMesh,
+    target: &TriMesh,
+    config: &PlanConfig,
+    ctx: &Ctx,
+) -> Result<SetupReport, Failure> {
+    let mut options = SetupOptions { holding: config.rules.holding, ..SetupOptions::default() };
+    options.grip_mm = config.rules.grip_mm.unwrap_or(options.grip_mm);
+    setup::search(initial, target, &options, ctx).map_err(failure)
 }
 
 /// Plans with the planner asked for.

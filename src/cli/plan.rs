@@ -51,9 +51,10 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     let mut clock = Clock::start();
     let destination = Destination::claim(&config.output)?;
     let ctx = context(output, config.time_limit_s, config.seed)?;
-    let (job, inputs) = prepare(config, &ctx, &mut clock)?;
+    let Prepared { job, inputs, notes } = prepare(config, &ctx, &mut clock)?;
 
     let (plan, mut figures) = pipeline::plan(&job, config, &ctx, &mut clock)?;
+    figures.notes.splice(0..0, notes);
     figures.notes.extend(inputs::below_base(&job));
     let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
     let posted = if verdict.passed() || config.post_unverified {
@@ -127,7 +128,14 @@ pub fn context(output: &OutputArgs, limit: Option<f64>, seed: u64) -> Result<Ctx
     Ok(Ctx::new(cancel, deadline, progress::fitting(output), seed))
 }
 
-fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<(Job, Inputs), Failure> {
+/// What there is before planning begins.
+struct Prepared {
+    job: Job,
+    inputs: Inputs,
+    notes: Vec<String>,
+}
+
+fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<Prepared, Failure> {
     let (mut initial, mut target) = clock.time("load", || -> Result<_, Failure> {
         Ok((Part::read(&config.initial)?, Part::read(&config.target)?))
     })?;
@@ -138,12 +146,15 @@ fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<(Job, In
     }
     inputs::stand(&mut initial, [config.initial.up, config.target.up], &mut target)?;
     let initial_mesh = initial.placed()?;
+    let mut notes = Vec::new();
     if config.setup == Setup::Search {
         let turned = DAffine3::from_mat3(config.target.up.to_z());
         target.place(&turned);
         let standing = target.placed()?;
-        let found = clock.time("setup", || pipeline::setup(&initial_mesh, &standing, ctx))?;
-        target.place(&(found * turned));
+        let found = clock
+            .time("setup", || pipeline::search_setup(&initial_mesh, &standing, config, ctx))?;
+        target.place(&(found.winner.transform * turned));
+        notes.push(found.note());
     }
     let target_mesh = target.placed()?;
 
@@ -171,7 +182,8 @@ fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<(Job, In
         nozzles: config.nozzles.clone(),
         rules,
     };
-    Ok((job, Inputs { initial: initial.record, target: target.record }))
+    let inputs = Inputs { initial: initial.record, target: target.record };
+    Ok(Prepared { job, inputs, notes })
 }
 
 /// The workpiece after each step, and what was reused, removed and added in all.

@@ -5,6 +5,7 @@
 //! validity itself; only [`crate::verify`] says so.
 
 pub mod reman;
+pub mod setup;
 
 use crate::base::Cancelled;
 
@@ -16,6 +17,11 @@ pub enum PlanError {
         "the {which} part is empty on the grid: it has no voxel at pitch {pitch_mm} mm; set a finer --resolution or check the units"
     )]
     EmptyPart { which: &'static str, pitch_mm: f64 },
+    #[error(
+        "the setup search cannot measure the {which} part: it is empty, or thinner than the {pitch_mm} mm that it sees; \
+         check the part, or give --setup keep"
+    )]
+    Unmeasurable { which: &'static str, pitch_mm: f64 },
     #[error("no {kind} tool: the machine has none and none was named")]
     NoTool { kind: &'static str },
     #[error("the set cover of the clipping planes failed: {0}")]

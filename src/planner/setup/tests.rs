@@ -1,0 +1,158 @@
+use super::*;
+use crate::base::{Ctx, DVec3};
+use proptest::prelude::*;
+
+/// Two blocks, one on the other: no symmetry but its own.
+fn stepped() -> TriMesh {
+    union(&[
+        TriMesh::cuboid(DVec3::ZERO, DVec3::new(60.0, 30.0, 12.0)),
+        TriMesh::cuboid(DVec3::new(4.0, 3.0, 12.0), DVec3::new(24.0, 15.0, 40.0)),
+    ])
+}
+
+fn union(parts: &[TriMesh]) -> TriMesh {
+    let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+    for p in parts {
+        let first = vertices.len() as u32;
+        vertices.extend_from_slice(p.vertices());
+        triangles.extend(p.triangles().iter().map(|t| t.map(|i| i + first)));
+    }
+    TriMesh::new(vertices, triangles).unwrap()
+}
+
+fn moved(mesh: &TriMesh, rotation: DMat3, shift: DVec3) -> TriMesh {
+    mesh.transformed(&DAffine3::from_mat3_translation(rotation, shift)).unwrap()
+}
+
+/// With fewer rotations than the default, which only cost time where a face to rest on is right.
+fn found(initial: &TriMesh, target: &TriMesh) -> SetupReport {
+    let options = SetupOptions { rotations: 30, carried: 3, ..SetupOptions::default() };
+    search(initial, target, &options, &Ctx::quiet()).unwrap()
+}
+
+#[test]
+fn the_same_part_twice_stays_where_it_is() {
+    let part = stepped();
+    let report = found(&part, &part);
+    assert_eq!(report.winner.transform, DAffine3::IDENTITY);
+    assert_eq!(report.winner.reused_share, 1.0);
+    // All of it reused and nothing to print: both terms of the bases are whole.
+    assert!((report.winner.score_fine - (0.4 + 0.6 * 2.0)).abs() < 1e-12);
+    assert_eq!(report.best[0], report.winner, "nothing is left to refine");
+    assert!(report.note().contains("as in its file") && report.note().contains("100.0 %"));
+}
+
+#[test]
+fn a_quarter_turn_and_a_shift_are_undone_exactly() {
+    let part = stepped();
+    let away = DVec3::new(137.0, -41.0, 9.0);
+    let target = moved(&part, rotations::about_z(std::f64::consts::FRAC_PI_2), away);
+    let report = found(&part, &target);
+    assert!(report.winner.reused_share > 0.99, "{report:?}");
+    let back = target.transformed(&report.winner.transform).unwrap();
+    for (a, b) in back.vertices().iter().zip(part.vertices()) {
+        assert!((*a - *b).length() < 1e-6, "{a} {b}");
+    }
+}
+
+#[test]
+fn a_part_laid_on_its_side_is_stood_up_again() {
+    let part = stepped();
+    let target = moved(&part, DMat3::from_rotation_x(std::f64::consts::FRAC_PI_2), DVec3::ONE);
+    let report = found(&part, &target);
+    assert!(report.winner.reused_share > 0.95, "{report:?}");
+}
+
+#[test]
+fn a_heading_between_the_steps_is_refined() {
+    let part = stepped();
+    let target = moved(&part, rotations::about_z(1.0), DVec3::new(-20.0, 5.0, 0.0));
+    let report = found(&part, &target);
+    assert!(report.winner.reused_share > 0.97, "{report:?}");
+}
+
+#[test]
+fn a_bracket_lies_in_its_block_although_their_feet_differ() {
+    let block = TriMesh::cuboid(DVec3::ZERO, DVec3::new(60.0, 30.0, 40.0));
+    let target = moved(&stepped(), rotations::about_z(2.1), DVec3::new(300.0, 200.0, -7.0));
+    let report = found(&block, &target);
+    assert!(report.winner.reused_share > 0.97, "{report:?}");
+    assert_eq!(report.best.len(), 1 + 3 + 3, "file, faces, spread");
+}
+
+#[test]
+fn the_base_decides_between_equal_volumes() {
+    let at = |lowest_mm: Option<f64>, base_share: f64| {
+        score_fine(&Measured { share: 0.5, top_mm: 20.0, lowest_mm, base_share })
+    };
+    assert!((at(Some(20.0), 1.0 / 6.0) - (0.2 + 0.6 * (1.0 + 25.0 / 36.0))).abs() < 1e-12);
+    assert!((at(Some(5.0), 0.5) - (0.2 + 0.6 * (0.25 + 0.25))).abs() < 1e-12);
+    assert!(at(Some(0.0), 0.5) < at(Some(5.0), 0.5) && at(None, 0.0) > at(Some(5.0), 0.0));
+    let nothing = Measured { share: 0.0, top_mm: 0.0, lowest_mm: None, base_share: 0.0 };
+    assert_eq!(score_fine(&nothing), 0.0, "no reuse is no good setup");
+}
+
+#[test]
+fn one_thread_and_two_find_the_same() {
+    let initial = TriMesh::cuboid(DVec3::ZERO, DVec3::new(50.0, 50.0, 30.0));
+    let target = moved(&stepped(), DMat3::from_rotation_y(0.3), DVec3::ZERO);
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let options = SetupOptions { rotations: 20, carried: 2, ..SetupOptions::default() };
+        pool.install(|| search(&initial, &target, &options, &Ctx::quiet()).unwrap())
+    };
+    assert_eq!(with(1), with(2));
+}
+
+#[test]
+fn a_stopped_search_ends() {
+    use crate::base::Silent;
+    use std::sync::{Arc, atomic::AtomicBool};
+    let ctx = Ctx::new(Arc::new(AtomicBool::new(true)), None, Arc::new(Silent), 0);
+    let part = stepped();
+    let result = search(&part, &part, &SetupOptions::default(), &ctx);
+    assert_eq!(result.unwrap_err(), PlanError::Cancelled);
+}
+
+#[test]
+fn parts_without_volume_or_surface_are_named() {
+    let (part, none) = (stepped(), TriMesh::default());
+    let which =
+        |a: &TriMesh, b: &TriMesh| match search(a, b, &SetupOptions::default(), &Ctx::quiet()) {
+            Err(PlanError::Unmeasurable { which, .. }) => which,
+            other => panic!("{other:?}"),
+        };
+    assert_eq!((which(&none, &part), which(&part, &none)), ("initial", "target"));
+    let corners = vec![DVec3::ZERO, DVec3::X, DVec3::Y];
+    let sheet = TriMesh::new(corners, vec![[0, 1, 2]]).unwrap();
+    assert_eq!(which(&part, &sheet), "target");
+}
+
+proptest! {
+    // Each case is a whole search.
+    #![proptest_config(ProptestConfig::with_cases(3))]
+
+    #[test]
+    fn the_target_stands_on_the_base(
+        turn in prop::array::uniform3(-3.0f64..3.0),
+        shift in prop::array::uniform3(-200.0f64..200.0),
+        size in prop::array::uniform3(5.0f64..50.0),
+    ) {
+        let rotation = DMat3::from_rotation_x(turn[0])
+            * DMat3::from_rotation_y(turn[1])
+            * DMat3::from_rotation_z(turn[2]);
+        let target = moved(&stepped(), rotation, DVec3::from_array(shift));
+        let initial = TriMesh::cuboid(DVec3::ZERO, DVec3::from_array(size));
+        let options = SetupOptions { rotations: 10, carried: 1, ..SetupOptions::default() };
+        let report = search(&initial, &target, &options, &Ctx::quiet()).unwrap();
+        for c in report.best.iter().chain([&report.winner]) {
+            let placed = target.transformed(&c.transform).unwrap();
+            prop_assert!(placed.bounds().min.z.abs() < 1e-6, "{:?}", c);
+            prop_assert!((0.0..=1.0).contains(&c.reused_share));
+            prop_assert!((0.0..=1.6).contains(&c.score_fine));
+        }
+        prop_assert!(report.winner.score_fine >= report.best[0].score_fine);
+        let most = report.best.iter().map(|c| c.reused_share).fold(0.0, f64::max);
+        prop_assert!(report.winner.reused_share >= LEAST_SHARE * most, "{:?}", report);
+    }
+}
