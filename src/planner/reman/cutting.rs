@@ -41,7 +41,7 @@ const COARSE_GAIN_SHARE: f64 = 0.002;
 /// Blocks tried in vain, one after the other, before a stage ends: each costs an over-cut, and
 /// the bounds are close enough that the first few tell.
 const COARSE_PATIENCE: usize = 3;
-const PATIENCE: usize = 12;
+const PATIENCE: usize = 5;
 
 /// A block that removes this share of what is left may have opened the way for others that were
 /// tried in vain.

@@ -77,8 +77,9 @@ pub struct Report {
 }
 
 /// Rounds of cover, cut and print. Each adds what the one before could not reach; a part that
-/// needs more than this ends with its residual.
-const ROUNDS: usize = 7;
+/// needs more than this ends with its residual. On real brackets a plan that is not complete by
+/// the third does not become so: each plane gives up more, and more is then hard to print.
+const ROUNDS: usize = 3;
 
 /// Share of its distance to the base by which a plane moves when a new cover changes nothing.
 const SHIFT_SHARE: f64 = 0.3;
@@ -125,14 +126,6 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         .map(|b| Element { points: b.points.clone() })
         .collect();
     clock.lap("graph");
-    for b in &bases {
-        tracing::debug!(
-            "DIAG base points {} convex {} facets {}",
-            b.points.len(),
-            b.plano_convex,
-            b.facets.len()
-        );
-    }
     let normals = plane_normals(job, options.directions);
     let mut planes = choose(&setting, &first, &elements, &normals, &mut report)?;
     clock.lap("set_cover");
@@ -160,14 +153,6 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             "round"
         );
         let open = clusters(job, &attempt.excess, &attempt.deficit);
-        for e in &open {
-            let n = e.points.len() as f64;
-            let centre = e.points.iter().sum::<crate::base::DVec3>() / n;
-            let lo = e.points.iter().copied().fold(crate::base::DVec3::INFINITY, |a, b| a.min(b));
-            let hi =
-                e.points.iter().copied().fold(crate::base::DVec3::NEG_INFINITY, |a, b| a.max(b));
-            tracing::debug!(surface_voxels = n, %centre, %lo, %hi, "out of reach");
-        }
         let done = open.is_empty();
         if best.as_ref().is_none_or(|b| attempt.rank() < b.rank()) {
             best = Some(attempt);
@@ -248,10 +233,6 @@ fn attempt(
 ) -> Result<Attempt, PlanError> {
     let job = setting.job;
     let volumes = volumes(job, &planes);
-    for p in &planes {
-        tracing::debug!("DIAG plane {:?}", p);
-    }
-    tracing::debug!("DIAG reused {} target {}", volumes.reused.count(), job.target.count());
     let (deep_removed, added) = deep(job, &volumes);
     let mut along: Vec<Direction> = planes.iter().map(|p| p.normal).collect();
     along.extend_from_slice(preferred);
