@@ -49,6 +49,8 @@ impl DepthMap {
 #[derive(Clone, Copy)]
 struct Lattice {
     spacing: f64,
+    /// 1 / spacing: a cell is looked up for every point, and a division would take half the time.
+    per_mm: f64,
     /// (u, v) of cell (0, 0).
     first: DVec2,
     nu: usize,
@@ -82,13 +84,19 @@ impl Lattice {
         let first = ((lo - anchor - DVec2::splat(margin)) / spacing).floor();
         let last = ((hi - anchor + DVec2::splat(margin)) / spacing).ceil();
         let n = last - first + DVec2::ONE;
-        Lattice { spacing, first: anchor + first * spacing, nu: n.x as usize, nv: n.y as usize }
+        Lattice {
+            spacing,
+            per_mm: 1.0 / spacing,
+            first: anchor + first * spacing,
+            nu: n.x as usize,
+            nv: n.y as usize,
+        }
     }
 
     /// The cell nearest to (u, v).
     #[inline]
     fn cell(&self, uv: DVec2) -> Option<usize> {
-        let at = (uv - self.first) / self.spacing + DVec2::splat(0.5);
+        let at = (uv - self.first) * self.per_mm + DVec2::splat(0.5);
         // Truncation is the floor of what is not negative.
         let (i, j) = (at.x as usize, at.y as usize);
         let inside = at.x >= 0.0 && at.y >= 0.0 && i < self.nu && j < self.nv;
@@ -121,10 +129,14 @@ struct View<'a> {
     /// Box of the wanted voxels.
     within: Aabb,
     spacing: f64,
+    /// How far around them the window reaches, mm.
+    margin: f64,
+    /// Depth images by pooling, each wide enough for every section treated on it.
+    images: Vec<(usize, Lattice, Vec<f32>)>,
 }
 
 impl<'a> View<'a> {
-    fn new(scene: &'a Scene, wanted: &'a BitGrid, direction: Direction) -> Self {
+    fn new(scene: &'a Scene, wanted: &'a BitGrid, direction: Direction, margin: f64) -> Self {
         let half = DVec3::splat(scene.frame.pitch / 2.0);
         // Of an empty set nothing is asked; one voxel stands for it.
         let (lo, hi) = wanted.extent().unwrap_or_default();
@@ -134,6 +146,8 @@ impl<'a> View<'a> {
             plane: direction.image_plane(),
             within: Aabb { min: scene.frame.center(lo) - half, max: scene.frame.center(hi) + half },
             spacing: spacing(&scene.frame, direction),
+            margin,
+            images: Vec::new(),
         }
     }
 
@@ -166,22 +180,25 @@ impl<'a> View<'a> {
         image
     }
 
-    /// H at the `tips` of the window `margin` mm around the wanted voxels: max over obstacle
-    /// points of o_z − f(ρ) − lift, section by section.
+    /// The window in which tips may stand.
+    fn window(&self) -> Lattice {
+        self.lattice(self.margin, 1)
+    }
+
+    /// H at the `tips` of the window: max over obstacle points of o_z − f(ρ) − lift, section by
+    /// section.
     fn lowest_tip(
-        &self,
-        margin: f64,
+        &mut self,
         tips: &Spans,
         sections: &[(Section, f64)],
         rounding_cells: f64,
     ) -> Vec<f32> {
-        let window = self.lattice(margin, 1);
+        let window = self.window();
         // A cell that is not computed is closed, whoever asks.
         let mut lowest = vec![f32::INFINITY; window.nu * window.nv];
         for (row, spans) in lowest.chunks_mut(window.nu).zip(tips.rows()) {
             spans.iter().for_each(|s| row[s.clone()].fill(f32::NEG_INFINITY));
         }
-        let mut images: Vec<(usize, Lattice, Vec<f32>)> = Vec::new();
         for (i, part @ (section, lift)) in sections.iter().enumerate() {
             if sections[..i].iter().any(|before| shadows(before, part)) {
                 continue;
@@ -197,13 +214,13 @@ impl<'a> View<'a> {
             while radius / (self.spacing * pool as f64) > WIDEST_CELLS {
                 pool *= 2;
             }
-            if !images.iter().any(|(p, ..)| *p == pool) {
-                // One image per pooling, wide enough for every section treated on it.
-                let wide = margin + (WIDEST_CELLS + 2.0) * pool as f64 * self.spacing;
+            if !self.images.iter().any(|(p, ..)| *p == pool) {
+                let wide = self.margin + (WIDEST_CELLS + 2.0) * pool as f64 * self.spacing;
                 let lattice = self.lattice(wide, pool);
-                images.push((pool, lattice, self.depth_image(&lattice)));
+                let image = self.depth_image(&lattice);
+                self.images.push((pool, lattice, image));
             }
-            let Some((_, lattice, image)) = images.iter().find(|(p, ..)| *p == pool) else {
+            let Some((_, lattice, image)) = self.images.iter().find(|(p, ..)| *p == pool) else {
                 continue;
             };
             let cells = if pool == 1 {
@@ -218,7 +235,7 @@ impl<'a> View<'a> {
                 let at = lattice.offset_of(&window);
                 filter(Op::Max, &image, at, window.nu, &mut lowest, tips, &kernel);
             } else {
-                let coarse = self.lattice(margin + self.spacing, pool);
+                let coarse = self.lattice(self.margin + self.spacing, pool);
                 let mut pooled = vec![f32::NEG_INFINITY; coarse.nu * coarse.nv];
                 let all = Spans::all(coarse.nu, coarse.nv);
                 let at = lattice.offset_of(&coarse);
@@ -242,14 +259,33 @@ fn shadows((before, lift): &(Section, f64), (section, section_lift): &(Section, 
 /// G of the depth engine: a voxel x of `wanted` can be cut along `direction` when x_z ≥ G at its
 /// cell.
 pub fn cutter_map(scene: &Scene, wanted: &BitGrid, tool: &Tool, direction: Direction) -> DepthMap {
-    let view = View::new(scene, wanted, direction);
+    let mut view = View::new(scene, wanted, direction, cutter_margin(scene, tool, direction));
+    let under = view.under(&view.window());
+    cutter_map_in(&mut view, &under, tool, direction)
+}
+
+/// [`cutter_map`] of several tools along one direction; the scene is looked at only once.
+pub fn cutter_maps(
+    scene: &Scene,
+    wanted: &BitGrid,
+    tools: &[Tool],
+    direction: Direction,
+) -> Vec<DepthMap> {
+    let margin = tools.iter().map(|t| cutter_margin(scene, t, direction)).fold(0.0, f64::max);
+    let mut view = View::new(scene, wanted, direction, margin);
+    let under = view.under(&view.window());
+    tools.iter().map(|t| cutter_map_in(&mut view, &under, t, direction)).collect()
+}
+
+fn cutter_margin(scene: &Scene, tool: &Tool, direction: Direction) -> f64 {
+    tool.active_radius() + spacing(&scene.frame, direction)
+}
+
+fn cutter_map_in(view: &mut View, under: &Spans, tool: &Tool, direction: Direction) -> DepthMap {
     let s = view.spacing;
     let rounding = rounding_cells(direction);
-    let radius = tool.active_radius();
-    let margin = radius + s;
-    let lattice = view.lattice(margin, 1);
-    let under = view.under(&lattice);
-    let reach = (radius / s).floor() as usize;
+    let lattice = view.window();
+    let reach = (tool.active_radius() / s).floor() as usize;
     // A face mill spans hundreds of cells; every n-th tip of them suffices, since missing a tip
     // only misses a position.
     let stride = (reach as f64 / WIDEST_CELLS).ceil().max(1.0) as usize;
@@ -259,10 +295,10 @@ pub fn cutter_map(scene: &Scene, wanted: &BitGrid, tool: &Tool, direction: Direc
     });
     let sections: Vec<(Section, f64)> = tool.sections.iter().map(|sec| (*sec, 0.0)).collect();
     let tips = under.grown(reach, lattice.nu);
-    let free = view.lowest_tip(margin, &tips, &sections, rounding);
+    let free = view.lowest_tip(&tips, &sections, rounding);
     let free = Image { width: lattice.nu, cells: &free };
     let mut lowest = vec![f32::INFINITY; lattice.nu * lattice.nv];
-    filter(Op::Min, &free, (0, 0), lattice.nu, &mut lowest, &under, &kernel);
+    filter(Op::Min, &free, (0, 0), lattice.nu, &mut lowest, under, &kernel);
     DepthMap { plane: view.plane, lattice, lowest }
 }
 
@@ -276,8 +312,7 @@ pub fn nozzle_map(
     direction: Direction,
     dip_mm: f64,
 ) -> DepthMap {
-    let view = View::new(scene, wanted, direction);
-    let margin = view.spacing;
+    let mut view = View::new(scene, wanted, direction, spacing(&scene.frame, direction));
     // Here the tip too is anywhere in its cell.
     let rounding = 2.0 * rounding_cells(direction);
     let sections: Vec<(Section, f64)> = tool
@@ -285,9 +320,9 @@ pub fn nozzle_map(
         .iter()
         .map(|sec| (*sec, if sec.shape.lower_surface(0.0) == 0.0 { dip_mm } else { 0.0 }))
         .collect();
-    let lattice = view.lattice(margin, 1);
+    let lattice = view.window();
     let under = view.under(&lattice);
-    let lowest = view.lowest_tip(margin, &under, &sections, rounding);
+    let lowest = view.lowest_tip(&under, &sections, rounding);
     DepthMap { plane: view.plane, lattice, lowest }
 }
 

@@ -18,6 +18,6 @@ mod scene;
 mod subtractive;
 
 pub use additive::{CarrierTable, supported};
-pub use depth::{DepthMap, cutter_map, nozzle_map};
+pub use depth::{DepthMap, cutter_map, cutter_maps, nozzle_map};
 pub use scene::Scene;
 pub use subtractive::{Cut, over_cut, reachable};

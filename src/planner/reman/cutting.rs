@@ -7,7 +7,7 @@
 
 use super::coarse::Coarse;
 use super::setting::Setting;
-use crate::access::{Cut, Scene, cutter_map, over_cut, reachable};
+use crate::access::{Cut, Scene, cutter_maps, over_cut, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
 use crate::plan::{Action, Origin, Step, StepKind};
@@ -158,16 +158,17 @@ impl<'a> Cutter<'_, 'a> {
         let frame = &self.coarse.job.frame;
         let scene = Scene::new(frame, &self.kept, fixed);
         let cutters = &self.setting.job.cutters;
-        let pairs: Vec<(Direction, &'a Tool)> =
-            directions.iter().flat_map(|d| cutters.iter().map(move |t| (*d, t))).collect();
-        pairs
-            .into_par_iter()
-            .map(|(direction, tool)| {
+        let reach: Vec<Vec<Reach<'a>>> = directions
+            .par_iter()
+            .map(|&direction| {
                 ctx.check()?;
-                let map = cutter_map(&scene, wanted, tool, direction);
-                Ok(Reach { direction, tool, bound: reachable(&map, wanted, frame) })
+                let maps = cutter_maps(&scene, wanted, cutters, direction);
+                let bound = |map| reachable(map, wanted, frame);
+                let tools = cutters.iter().zip(&maps);
+                Ok(tools.map(|(tool, map)| Reach { direction, tool, bound: bound(map) }).collect())
             })
-            .collect()
+            .collect::<Result<_, Cancelled>>()?;
+        Ok(reach.into_iter().flatten().collect())
     }
 
     /// Upper bounds on the job's own grid, for what is left near each coarse bound.
@@ -182,18 +183,28 @@ impl<'a> Cutter<'_, 'a> {
         let scene = Scene::new(frame, &self.fine_kept, fixed);
         let left = &self.cutting.unreached.minus(later);
         let wanted = self.coarse.any(left);
-        let fine: Vec<Option<Reach<'a>>> = coarse
-            .par_iter()
-            .map(|&Reach { direction, tool, ref bound }| {
+        let cutters = &self.setting.job.cutters;
+        // The bounds of one direction stand together, one a tool.
+        let fine: Vec<Vec<Reach<'a>>> = coarse
+            .par_chunks(cutters.len())
+            .map(|of_direction| {
                 ctx.check()?;
+                let mut doubtful = BitGrid::new(wanted.dims());
                 // A coarse bound may be wrong by a coarse voxel.
-                let doubtful = bound.grown().and(&wanted);
+                of_direction.iter().for_each(|r| doubtful.union_with(&r.bound.grown()));
+                doubtful.intersect_with(&wanted);
                 if doubtful.is_empty() {
-                    return Ok(None);
+                    return Ok(Vec::new());
                 }
+                let direction = of_direction[0].direction;
                 let near = self.coarse.refined(&doubtful, frame.dims).and(left);
-                let map = cutter_map(&scene, &near, tool, direction);
-                Ok(Some(Reach { direction, tool, bound: reachable(&map, &near, frame) }))
+                let maps = cutter_maps(&scene, &near, cutters, direction);
+                let tools = cutters.iter().zip(&maps);
+                let reach = |(tool, map)| {
+                    let bound = reachable(map, &near, frame);
+                    Reach { direction, tool, bound }
+                };
+                Ok(tools.map(reach).collect())
             })
             .collect::<Result<_, Cancelled>>()?;
         Ok(fine.into_iter().flatten().collect())

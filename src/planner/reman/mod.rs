@@ -30,6 +30,7 @@ mod candidates;
 mod coarse;
 mod cutting;
 mod printing;
+mod reasons;
 mod setting;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
@@ -42,6 +43,7 @@ use candidates::{Element, cover};
 use coarse::Coarse;
 use cutting::{Cutting, cut_blocks};
 use printing::{Printing, Wanted, print_blocks};
+use reasons::reasons;
 use setting::Setting;
 use std::time::Instant;
 
@@ -76,10 +78,10 @@ pub struct Report {
     pub notes: Vec<String>,
 }
 
-/// Rounds of cover, cut and print. Each adds what the one before could not reach; a part that
-/// needs more than this ends with its residual. On real brackets a plan that is not complete by
-/// the third does not become so: each plane gives up more, and more is then hard to print.
-const ROUNDS: usize = 3;
+/// Rounds of cover, cut and print; the second covers what the first could not reach. A part that
+/// needs more ends with its residual: on real brackets a third round never left less, since each
+/// plane gives up more, and more is then hard to print.
+const ROUNDS: usize = 2;
 
 /// Share of its distance to the base by which a plane moves when a new cover changes nothing.
 const SHIFT_SHARE: f64 = 0.3;
@@ -129,7 +131,6 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let normals = plane_normals(job, options.directions);
     let mut planes = choose(&setting, &first, &elements, &normals, &mut report)?;
     clock.lap("set_cover");
-    report.planes_global = planes.len();
     let mut best: Option<Attempt> = None;
     for round in 0..ROUNDS {
         ctx.check()?;
@@ -152,21 +153,24 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             laps = ?clock.laps,
             "round"
         );
-        let open = clusters(job, &attempt.excess, &attempt.deficit);
-        let done = open.is_empty();
+        let done = attempt.excess.is_empty() && attempt.deficit.is_empty();
         if best.as_ref().is_none_or(|b| attempt.rank() < b.rank()) {
             best = Some(attempt);
         }
         if done || ctx.out_of_time() {
             break;
         }
-        elements.extend(open);
+        elements.extend(best.iter().flat_map(|b| clusters(job, &b.excess, &b.deficit)));
         let next = choose(&setting, &first, &elements, &normals, &mut report)?;
         planes = if next == planes { shifted(&setting, &planes) } else { next };
         clock.lap("set_cover");
     }
     let Some(best) = best else { return Err(PlanError::Cancelled) };
     report.planes_global = best.planes.len();
+    let (excess, deficit) = (&best.excess, &best.deficit);
+    let why = reasons(&setting, &coarse, &best.volumes.reused, excess, deficit, ctx)?;
+    report.notes.extend(why);
+    clock.lap("blocks");
     report.seconds = clock.laps;
     let mut steps = best.cutting.steps;
     steps.extend(best.printing.steps);
@@ -238,7 +242,7 @@ fn attempt(
     along.extend_from_slice(preferred);
     let cutting =
         cut_blocks(setting, coarse, &volumes.removed, &deep_removed, options.directions, ctx)?;
-    clock.lap("blocks_cut");
+    clock.lap("blocks");
     let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
     let wanted = Wanted {
         state: &cutting.state,
@@ -248,7 +252,7 @@ fn attempt(
         samples: options.directions,
     };
     let printing = print_blocks(setting, coarse, &wanted, ctx)?;
-    clock.lap("blocks_print");
+    clock.lap("blocks");
     let deficit = printing.unreached.minus(&skin);
     let excess = cutting.unreached.clone();
     Ok(Attempt { planes, volumes, cutting, printing, excess, deficit })
