@@ -43,7 +43,7 @@ use candidates::{Element, cover};
 use coarse::Coarse;
 use cutting::{Cutting, cut_blocks};
 use printing::{Printing, Wanted, print_blocks};
-use reasons::reasons;
+use reasons::{open_below, reasons};
 use setting::Setting;
 use std::time::Instant;
 
@@ -98,12 +98,14 @@ struct Attempt {
     /// Deep material left standing or missing.
     excess: BitGrid,
     deficit: BitGrid,
+    /// The part of the excess that is open only below: no plane mends that, another holding does.
+    below: BitGrid,
 }
 
 impl Attempt {
-    /// Less residual first, then more reuse.
+    /// Less residual that a plane could mend first, then more reuse.
     fn rank(&self) -> (usize, std::cmp::Reverse<usize>) {
-        let residual = self.excess.count() + self.deficit.count();
+        let residual = self.excess.count() - self.below.count() + self.deficit.count();
         (residual, std::cmp::Reverse(self.volumes.reused.count()))
     }
 }
@@ -153,14 +155,15 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             laps = ?clock.laps,
             "round"
         );
-        let done = attempt.excess.is_empty() && attempt.deficit.is_empty();
+        let done = attempt.rank().0 == 0;
         if best.as_ref().is_none_or(|b| attempt.rank() < b.rank()) {
             best = Some(attempt);
         }
         if done || ctx.out_of_time() {
             break;
         }
-        elements.extend(best.iter().flat_map(|b| clusters(job, &b.excess, &b.deficit)));
+        elements
+            .extend(best.iter().flat_map(|b| clusters(job, &b.excess.minus(&b.below), &b.deficit)));
         let next = choose(&setting, &first, &elements, &normals, &mut report)?;
         planes = if next == planes { shifted(&setting, &planes) } else { next };
         clock.lap("set_cover");
@@ -168,9 +171,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let Some(best) = best else { return Err(PlanError::Cancelled) };
     report.planes_global = best.planes.len();
     let (excess, deficit) = (&best.excess, &best.deficit);
-    let why = reasons(&setting, &coarse, &best.volumes.reused, excess, deficit, ctx)?;
-    report.notes.extend(why);
-    clock.lap("blocks");
+    report.notes.extend(reasons(&setting, excess, &best.below, deficit));
     report.seconds = clock.laps;
     let mut steps = best.cutting.steps;
     steps.extend(best.printing.steps);
@@ -255,7 +256,8 @@ fn attempt(
     clock.lap("blocks");
     let deficit = printing.unreached.minus(&skin);
     let excess = cutting.unreached.clone();
-    Ok(Attempt { planes, volumes, cutting, printing, excess, deficit })
+    let below = open_below(setting, coarse, &volumes.reused, &excess, ctx)?;
+    Ok(Attempt { planes, volumes, cutting, printing, excess, deficit, below })
 }
 
 /// Normals of candidate planes: the upper hemisphere, or the sphere where steps may refixture.

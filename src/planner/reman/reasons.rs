@@ -14,29 +14,26 @@ const WORTH_SAYING: f64 = 0.01;
 /// Directions tried from below, over the half sphere.
 const FROM_BELOW: usize = 40;
 
-/// One line a reason; none where nothing is left. `kept` is what stands at the end.
+/// One line a reason; none where nothing is left. `below` is the part of the excess that is open
+/// only below.
 pub fn reasons(
     setting: &Setting,
-    coarse: &Coarse,
-    kept: &BitGrid,
     excess: &BitGrid,
+    below: &BitGrid,
     deficit: &BitGrid,
-    ctx: &Ctx,
-) -> Result<Vec<String>, Cancelled> {
+) -> Vec<String> {
     let job = setting.job;
     let voxel = job.frame.pitch.powi(3);
     let mut lines = Vec::new();
     let mut standing = excess.count();
-    if standing > 0 && job.rules.holding == HoldingMode::Base {
-        let below = open_below(setting, coarse, kept, excess, ctx)?;
-        if below as f64 >= WORTH_SAYING * standing as f64 {
-            lines.push(format!(
-                "{:.1} mm³ left standing lies in pockets that are open only below: no direction of \
-                 this holding reaches it; --holding refixture turns the part over and does",
-                below as f64 * voxel
-            ));
-            standing -= below;
-        }
+    let below = below.count();
+    if below > 0 && below as f64 >= WORTH_SAYING * standing as f64 {
+        lines.push(format!(
+            "{:.1} mm³ left standing lies in pockets that are open only below: no direction of \
+             this holding reaches it; --holding refixture turns the part over and does",
+            below as f64 * voxel
+        ));
+        standing -= below;
     }
     if standing as f64 >= WORTH_SAYING * excess.count() as f64 && standing > 0 {
         lines.push(format!(
@@ -51,18 +48,23 @@ pub fn reasons(
             deficit.count() as f64 * voxel
         ));
     }
-    Ok(lines)
+    lines
 }
 
-/// Voxels of the excess that cutters reach from below, the part held in mid-air.
-fn open_below(
+/// Voxels of the excess that cutters would reach from below were the part held in mid-air: none
+/// where steps may hold it anew, since then they have been reached or not. `kept` is what stands
+/// at the end.
+pub fn open_below(
     setting: &Setting,
     coarse: &Coarse,
     kept: &BitGrid,
     excess: &BitGrid,
     ctx: &Ctx,
-) -> Result<usize, Cancelled> {
+) -> Result<BitGrid, Cancelled> {
     let frame = &coarse.job.frame;
+    if excess.is_empty() || setting.job.rules.holding == HoldingMode::Refixture {
+        return Ok(BitGrid::new(excess.dims()));
+    }
     let scene = Scene::new(frame, &coarse.most(kept), &[]);
     let wanted = coarse.any(excess);
     let mut directions = vec![Direction::NEG_Z];
@@ -78,5 +80,5 @@ fn open_below(
         .collect::<Result<_, Cancelled>>()?;
     let mut open = BitGrid::new(frame.dims);
     reached.iter().flatten().for_each(|r| open.union_with(r));
-    Ok(coarse.refined(&open, excess.dims()).count_and(excess))
+    Ok(coarse.refined(&open, excess.dims()).and(excess))
 }

@@ -57,13 +57,9 @@ impl<'a> Setting<'a> {
         all.into_iter().filter(|d| self.can_point(holding, *d)).collect()
     }
 
-    /// Sampled directions of a holding: those of a lattice of `2 count` on the sphere that lie on
-    /// its upper half and within the machine's limits.
+    /// Sampled directions of a holding: those of a lattice of `2 count` on the sphere that lie
+    /// within the machine's limits, most of them on its upper half.
     pub fn sampled(&self, holding: usize, count: usize) -> Vec<Direction> {
-        let up = self.holdings[holding].up;
-        fibonacci_sphere(2 * count)
-            .into_iter()
-            .filter(|d| up.dot(d.vec()) >= 0.0 && self.can_point(holding, *d))
-            .collect()
+        fibonacci_sphere(2 * count).into_iter().filter(|d| self.can_point(holding, *d)).collect()
     }
 }
