@@ -36,7 +36,7 @@ impl CarrierTable {
                 }
             }
         }
-        let mut direct: Vec<_> = below.iter().copied().filter(|o| within(*o)).collect();
+        let direct: Vec<_> = below.iter().copied().filter(|o| within(*o)).collect();
         let mut chains = Vec::new();
         for &a in below.iter().filter(|a| !within(**a)) {
             for &b in &below {
@@ -46,9 +46,6 @@ impl CarrierTable {
                 }
             }
         }
-        let steepness = |o: &[i64; 3]| drop(*o) / as_vec(*o).length();
-        direct.sort_by(|a, b| steepness(b).total_cmp(&steepness(a)));
-        chains.sort_by(|a, b| steepness(&b.1).total_cmp(&steepness(&a.1)));
         CarrierTable { direct, chains }
     }
 
@@ -57,24 +54,6 @@ impl CarrierTable {
         let p = voxel.map(|c| c as i64);
         let at = |o: &[i64; 3]| solid.get_or_empty([p[0] + o[0], p[1] + o[1], p[2] + o[2]]);
         self.direct.iter().any(at) || self.chains.iter().any(|(a, b)| at(a) && at(b))
-    }
-}
-
-impl CarrierTable {
-    /// The neighbours through which `solid` carries the voxel most steeply: one, or the two of a
-    /// chain; none where nothing carries it.
-    pub fn steepest(&self, solid: &BitGrid, voxel: [usize; 3]) -> Vec<[usize; 3]> {
-        let p = voxel.map(|c| c as i64);
-        let place = |o: &[i64; 3]| [p[0] + o[0], p[1] + o[1], p[2] + o[2]];
-        let at = |o: &[i64; 3]| solid.get_or_empty(place(o));
-        let found: Vec<&[i64; 3]> = match self.direct.iter().find(|o| at(o)) {
-            Some(o) => vec![o],
-            None => match self.chains.iter().find(|(a, b)| at(a) && at(b)) {
-                Some((a, b)) => vec![a, b],
-                None => Vec::new(),
-            },
-        };
-        found.into_iter().map(|o| place(o).map(|c| c as usize)).collect()
     }
 }
 

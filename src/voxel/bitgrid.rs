@@ -355,6 +355,17 @@ mod tests {
         }
 
         #[test]
+        fn grown_is_the_neighbourhood_of_every_voxel(g in grid()) {
+            let naive = BitGrid::from_fn(g.dims(), |v| {
+                let p = v.map(|c| c as i64);
+                (0..27i64).any(|i| {
+                    g.get_or_empty([p[0] + i % 3 - 1, p[1] + i / 3 % 3 - 1, p[2] + i / 9 - 1])
+                })
+            });
+            prop_assert_eq!(g.grown(), naive);
+        }
+
+        #[test]
         fn boundary_is_what_the_definition_says(g in grid()) {
             let naive = BitGrid::from_fn(g.dims(), |v| {
                 let p = v.map(|c| c as i64);

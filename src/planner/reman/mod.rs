@@ -19,8 +19,9 @@
 //! - Accessibility is judged by making the blocks, not by sampled points: what the blocks leave
 //!   becomes a further element to cover, and the set cover is solved anew. Only when that changes
 //!   nothing do the planes move, by 30 % of their distance to the base as in the paper.
-//! - Additive blocks are found backward from the finished part, so that each has a planar base and
-//!   carries itself; the paper takes two decompositions from elsewhere.
+//! - Additive blocks are what one direction lays from below on the state before it, the largest
+//!   first; the paper takes two decompositions from elsewhere.
+//! - Directions are ranked on a coarser grid (`coarse`), and the blocks made on the job's own.
 //!
 //! Guarantees: each step's voxels are accessible, carried and clear when the step is made, by the
 //! conservative maps of [`crate::access`]. Not guaranteed: that the residual is zero, or that the
@@ -83,6 +84,10 @@ pub struct Report {
 /// plane gives up more, and more is then hard to print.
 const ROUNDS: usize = 2;
 
+/// A round that leaves more than this share of the target is the last: on real brackets such a
+/// plan is not mended by another plane, and the round costs as much as the first.
+const MENDABLE_SHARE: f64 = 0.02;
+
 /// Share of its distance to the base by which a plane moves when a new cover changes nothing.
 const SHIFT_SHARE: f64 = 0.3;
 
@@ -103,10 +108,22 @@ struct Attempt {
 }
 
 impl Attempt {
-    /// Less residual that a plane could mend first, then more reuse.
-    fn rank(&self) -> (usize, std::cmp::Reverse<usize>) {
-        let residual = self.excess.count() - self.below.count() + self.deficit.count();
-        (residual, std::cmp::Reverse(self.volumes.reused.count()))
+    /// Voxels left that a plane could mend.
+    fn residual(&self) -> usize {
+        self.excess.count() - self.below.count() + self.deficit.count()
+    }
+
+    /// Complete before valid before neither; of complete and of valid ones more reuse first, of
+    /// the others less residual.
+    fn rank(&self, job: &Job) -> (u8, usize, std::cmp::Reverse<usize>) {
+        let residual = self.residual();
+        let reused = std::cmp::Reverse(self.volumes.reused.count());
+        let valid = residual as f64 <= job.rules.deviation * job.target.count() as f64;
+        match (residual, valid) {
+            (0, _) => (0, 0, reused),
+            (_, true) => (1, 0, reused),
+            (n, false) => (2, n, reused),
+        }
     }
 }
 
@@ -155,8 +172,10 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             laps = ?clock.laps,
             "round"
         );
-        let done = attempt.rank().0 == 0;
-        if best.as_ref().is_none_or(|b| attempt.rank() < b.rank()) {
+        let residual = attempt.residual();
+        let hopeless = residual as f64 > MENDABLE_SHARE * job.target.count() as f64;
+        let done = residual == 0 || hopeless;
+        if best.as_ref().is_none_or(|b| attempt.rank(job) < b.rank(job)) {
             best = Some(attempt);
         }
         if done || ctx.out_of_time() {
@@ -244,6 +263,8 @@ fn attempt(
     let cutting =
         cut_blocks(setting, coarse, &volumes.removed, &deep_removed, options.directions, ctx)?;
     clock.lap("blocks");
+    // Material given up because nothing would hold it may be skin that no cut took: it stands.
+    let added = added.minus(&cutting.state);
     let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
     let wanted = Wanted {
         state: &cutting.state,
@@ -283,6 +304,8 @@ fn choose(
     report: &mut Report,
 ) -> Result<Vec<Plane>, PlanError> {
     let found = cover(setting, &first.reused, elements, normals)?;
+    // The last cover knows all regions, so its note stands for those before it.
+    report.notes.clear();
     if !found.uncovered.is_empty() {
         report.notes.push(format!(
             "{} of {} regions lie beside the base contact and no clipping plane clears them",
