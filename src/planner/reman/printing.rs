@@ -56,7 +56,10 @@ const SHORTER_TOOL_SHARE: f64 = 0.97;
 
 /// A block prints at least this share of the core: less is left to a plane or to the residual,
 /// since a change of direction for a crumb helps nobody.
-const LEAST_SHARE: f64 = 2e-4;
+const LEAST_SHARE: f64 = 5e-4;
+
+/// And at least this much, mm³: a deposit smaller than a few millimetres of bead has no path.
+const LEAST_MM3: f64 = 1.0;
 
 /// Ways that are looked at closely after the coarse ranking, of the preferred and of the sampled
 /// ones: more costs time, fewer trusts a staircase of coarse voxels too much.
@@ -81,7 +84,8 @@ pub fn print_blocks(
         (0..setting.holdings.len()).flat_map(|h| setting.sampled(h, wanted.samples)).collect();
     let sampled = ways_along(setting, &sampled, longest);
     let core = coarse.most(wanted.core);
-    let least = ((LEAST_SHARE * wanted.core.count() as f64) as usize).max(1);
+    let share = LEAST_SHARE * wanted.core.count() as f64;
+    let least = share.max(LEAST_MM3 / setting.job.frame.voxel_volume()).ceil() as usize;
     loop {
         let left_over = printing.unreached.count_and(wanted.core);
         if left_over < least {
