@@ -110,6 +110,17 @@ fn turned_over_the_same_pocket_is_cut() {
 }
 
 #[test]
+fn turned_over_a_part_stands_on_the_top_it_then_has() {
+    let (frame, [block, hollow], meshes) = pocket_below();
+    // The target ends 4 mm below the top of the initial part.
+    let low = BitGrid::from_fn(frame.dims, |v| hollow.get(v) && frame.center(v).z < 16.0);
+    let (verdict, _) = planned(&with_solids(frame, [block, low], meshes, HoldingMode::Refixture));
+    assert!(verdict.passed(), "{:?}", verdict.lines());
+    assert_eq!(verdict.plan.holdings.len(), 2);
+    assert!((verdict.plan.holdings[1].height_mm + 16.0).abs() < 1e-9);
+}
+
+#[test]
 fn one_thread_plans_as_two_do() {
     let plan_on = |threads: usize| -> Plan {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

@@ -194,7 +194,8 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     report.seconds = clock.laps;
     let mut steps = best.cutting.steps;
     steps.extend(best.printing.steps);
-    Ok((Plan { holdings: setting.holdings, steps }, report))
+    let holdings = setting.numbered(&mut steps);
+    Ok((Plan { holdings, steps }, report))
 }
 
 fn check(job: &Job) -> Result<(), PlanError> {

@@ -86,13 +86,19 @@ pub fn print_blocks(
     let core = coarse.most(wanted.core);
     let share = LEAST_SHARE * wanted.core.count() as f64;
     let least = share.max(LEAST_MM3 / setting.job.frame.voxel_volume()).ceil() as usize;
+    let mut held: Option<(usize, Vec<DVec3>)> = None;
     loop {
         let left_over = printing.unreached.count_and(wanted.core);
         if left_over < least {
             break;
         }
-        let fixed: Vec<Vec<DVec3>> =
-            (0..setting.holdings.len()).map(|h| setting.fixed(h, &printing.state)).collect();
+        // A holding stays as it began until another takes its place.
+        let fixed: Vec<Vec<DVec3>> = (0..setting.holdings.len())
+            .map(|h| match &held {
+                Some((now, fixed)) if *now == h => fixed.clone(),
+                _ => setting.fixed(h, &printing.state),
+            })
+            .collect();
         let state = coarse.most(&printing.state);
         let left = coarse.most(&printing.state.or(&printing.unreached)).minus(&state);
         let quick =
@@ -130,7 +136,9 @@ pub fn print_blocks(
             left = left_over - block.gain,
             "print"
         );
+        let holding = block.way.holding;
         printing.take(setting.job, block);
+        held = Some((holding, fixed.into_iter().nth(holding).unwrap_or_default()));
     }
     Ok(printing)
 }

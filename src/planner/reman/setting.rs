@@ -2,12 +2,14 @@
 
 use crate::base::{DVec3, Direction, fibonacci_sphere};
 use crate::machine::{BaseKind, Holding, HoldingMode};
-use crate::plan::Job;
-use crate::voxel::BitGrid;
+use crate::plan::{Job, Step, StepKind};
+use crate::voxel::{BitGrid, Frame};
 
 /// The job with what follows from it once.
 pub struct Setting<'a> {
     pub job: &'a Job,
+    /// As clamped and, where steps may hold the part anew, turned over. How high the turned part
+    /// stands is known only when its turn comes: see [`Setting::held`].
     pub holdings: Vec<Holding>,
     first_fixed: Vec<DVec3>,
 }
@@ -16,10 +18,7 @@ impl<'a> Setting<'a> {
     pub fn new(job: &'a Job) -> Self {
         let mut holdings = vec![Holding::AS_CLAMPED];
         if job.rules.holding == HoldingMode::Refixture {
-            let all = job.initial.or(&job.target);
-            let top = all.extent().map_or(0.0, |(_, hi)| job.frame.center(hi).z);
-            let height_mm = -(top + job.frame.pitch / 2.0);
-            holdings.push(Holding { up: Direction::NEG_Z, height_mm });
+            holdings.push(turned_over(&job.initial.or(&job.target), &job.frame));
         }
         let first_fixed = match job.rules.base {
             BaseKind::None => Vec::new(),
@@ -32,6 +31,37 @@ impl<'a> Setting<'a> {
         Setting { job, holdings, first_fixed }
     }
 
+    /// A holding that begins in `state`: turned over, the part stands on what is then its top.
+    pub fn held(&self, holding: usize, state: &BitGrid) -> Holding {
+        if holding == 0 { self.holdings[0] } else { turned_over(state, &self.job.frame) }
+    }
+
+    /// The holdings of a plan, numbered in the order in which they begin, and written into its
+    /// steps. Turned over, cutting and printing hold the part separately, since each stands it on
+    /// the top it finds.
+    pub fn numbered(&self, steps: &mut [Step]) -> Vec<Holding> {
+        let mut holdings = vec![self.holdings[0]];
+        let mut state = self.job.initial.clone();
+        let mut before: Option<(usize, StepKind, usize)> = None;
+        for step in steps {
+            let (which, kind) = (step.holding, step.kind);
+            step.holding = match before {
+                _ if which == 0 => 0,
+                Some((w, k, number)) if (w, k) == (which, kind) => number,
+                _ => {
+                    holdings.push(self.held(which, &state));
+                    holdings.len() - 1
+                }
+            };
+            before = Some((which, kind, step.holding));
+            match kind {
+                StepKind::Subtractive => state.subtract(&step.region),
+                StepKind::Additive => state.union_with(&step.region),
+            }
+        }
+        holdings
+    }
+
     /// Fixed obstacle points of a holding that begins in `state`.
     pub fn fixed(&self, holding: usize, state: &BitGrid) -> Vec<DVec3> {
         if holding == 0 {
@@ -40,9 +70,9 @@ impl<'a> Setting<'a> {
         if self.job.rules.base == BaseKind::None {
             return Vec::new();
         }
-        let hold = &self.holdings[holding];
+        let hold = self.held(holding, state);
         let contact = hold.contact(state, &self.job.frame, self.job.rules.grip_mm);
-        self.job.machine.workholding.obstacle_points(hold, &contact, &self.job.frame)
+        self.job.machine.workholding.obstacle_points(&hold, &contact, &self.job.frame)
     }
 
     /// Whether the machine can work along `d` in this holding.
@@ -62,4 +92,10 @@ impl<'a> Setting<'a> {
     pub fn sampled(&self, holding: usize, count: usize) -> Vec<Direction> {
         fibonacci_sphere(2 * count).into_iter().filter(|d| self.can_point(holding, *d)).collect()
     }
+}
+
+/// Standing on its top.
+fn turned_over(solid: &BitGrid, frame: &Frame) -> Holding {
+    let top = solid.extent().map_or(0.0, |(_, hi)| frame.center(hi).z + frame.pitch / 2.0);
+    Holding { up: Direction::NEG_Z, height_mm: -top }
 }
