@@ -30,21 +30,22 @@
 mod candidates;
 mod coarse;
 mod cutting;
+mod laying;
 mod printing;
 mod reasons;
+mod round;
 mod setting;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
 use crate::plan::{Job, Plan, Plane};
 use crate::planner::PlanError;
-use crate::region::{PrintingBase, Volumes, above, printing_bases};
-use crate::voxel::{BitGrid, Connectivity, components, distance_within};
+use crate::region::{PrintingBase, Volumes, printing_bases};
+use crate::voxel::{BitGrid, Connectivity, components};
 use candidates::{Element, cover};
 use coarse::Coarse;
-use cutting::{Cutting, cut_blocks};
-use printing::{Printing, Wanted, print_blocks};
-use reasons::{open_below, reasons};
+use reasons::reasons;
+use round::{Attempt, attempt, deep, volumes};
 use setting::Setting;
 use std::time::Instant;
 
@@ -94,39 +95,6 @@ const SHIFT_SHARE: f64 = 0.3;
 /// Edge in mm of the cells in which inaccessible material is counted (W2V samples every 2 mm).
 const COUNT_CELL_MM: f64 = 2.0;
 
-/// One round: planes, and the blocks made under them.
-struct Attempt {
-    planes: Vec<Plane>,
-    volumes: Volumes,
-    cutting: Cutting,
-    printing: Printing,
-    /// Deep material left standing or missing.
-    excess: BitGrid,
-    deficit: BitGrid,
-    /// The part of the excess that is open only below: no plane mends that, another holding does.
-    below: BitGrid,
-}
-
-impl Attempt {
-    /// Voxels left that a plane could mend.
-    fn residual(&self) -> usize {
-        self.excess.count() - self.below.count() + self.deficit.count()
-    }
-
-    /// Complete before valid before neither; of complete and of valid ones more reuse first, of
-    /// the others less residual.
-    fn rank(&self, job: &Job) -> (u8, usize, std::cmp::Reverse<usize>) {
-        let residual = self.residual();
-        let reused = std::cmp::Reverse(self.volumes.reused.count());
-        let valid = residual as f64 <= job.rules.deviation * job.target.count() as f64;
-        match (residual, valid) {
-            (0, _) => (0, 0, reused),
-            (_, true) => (1, 0, reused),
-            (n, false) => (2, n, reused),
-        }
-    }
-}
-
 /// Plans the job; what could not be reached is left for the verifier to measure.
 pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), PlanError> {
     check(job)?;
@@ -153,8 +121,8 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let mut best: Option<Attempt> = None;
     for round in 0..ROUNDS {
         ctx.check()?;
-        let attempt =
-            attempt(&setting, &coarse, planes.clone(), &preferred, options, &mut clock, ctx)?;
+        let attempt = attempt(&setting, &coarse, planes.clone(), &preferred, options, ctx)?;
+        clock.lap("blocks");
         if round == 0 {
             let share = attempt.volumes.reused.count() as f64 / job.target.count() as f64;
             report.reuse_initial = share;
@@ -167,8 +135,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             reused = attempt.volumes.reused.count(),
             excess = attempt.excess.count(),
             deficit = attempt.deficit.count(),
-            cuts = attempt.cutting.steps.len(),
-            prints = attempt.printing.steps.len(),
+            steps = attempt.steps.len(),
             laps = ?clock.laps,
             "round"
         );
@@ -192,8 +159,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let (excess, deficit) = (&best.excess, &best.deficit);
     report.notes.extend(reasons(&setting, excess, &best.below, deficit));
     report.seconds = clock.laps;
-    let mut steps = best.cutting.steps;
-    steps.extend(best.printing.steps);
+    let mut steps = best.steps;
     let holdings = setting.numbered(&mut steps);
     Ok((Plan { holdings, steps }, report))
 }
@@ -212,74 +178,6 @@ fn check(job: &Job) -> Result<(), PlanError> {
         return Err(PlanError::NoTool { kind: "additive" });
     }
     Ok(())
-}
-
-/// The volumes when everything above the planes is given up.
-fn volumes(job: &Job, planes: &[Plane]) -> Volumes {
-    let mut reusable = job.ideal_reuse();
-    for p in planes {
-        let cut = above(&reusable, &job.frame, p.normal.vec(), p.offset);
-        reusable.subtract(&cut);
-    }
-    let rules = &job.rules;
-    Volumes::keeping(&job.initial, &job.target, &reusable, &job.frame, rules.holding, rules.grip_mm)
-}
-
-/// Removed and added material that counts: the removed beyond skin, and every body of the added
-/// that has some beyond skin.
-fn deep(job: &Job, volumes: &Volumes) -> (BitGrid, BitGrid) {
-    let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
-    let removed = volumes.removed.minus(&skin);
-    let core = volumes.added.minus(&skin);
-    let bodies = components(&volumes.added, Connectivity::Corner26);
-    let mut counts = vec![false; bodies.count()];
-    for v in core.iter_ones() {
-        if let Some(l) = bodies.label_of(v) {
-            counts[l as usize] = true;
-        }
-    }
-    let mut added = BitGrid::new(job.frame.dims);
-    for v in volumes.added.iter_ones() {
-        if bodies.label_of(v).is_some_and(|l| counts[l as usize]) {
-            added.set(v, true);
-        }
-    }
-    (removed, added)
-}
-
-fn attempt(
-    setting: &Setting,
-    coarse: &Coarse,
-    planes: Vec<Plane>,
-    preferred: &[Direction],
-    options: &Options,
-    clock: &mut Clock,
-    ctx: &Ctx,
-) -> Result<Attempt, PlanError> {
-    let job = setting.job;
-    let volumes = volumes(job, &planes);
-    let (deep_removed, added) = deep(job, &volumes);
-    let mut along: Vec<Direction> = planes.iter().map(|p| p.normal).collect();
-    along.extend_from_slice(preferred);
-    let cutting =
-        cut_blocks(setting, coarse, &volumes.removed, &deep_removed, options.directions, ctx)?;
-    clock.lap("blocks");
-    // Material given up because nothing would hold it may be skin that no cut took: it stands.
-    let added = added.minus(&cutting.state);
-    let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
-    let wanted = Wanted {
-        state: &cutting.state,
-        added: &added,
-        core: &added.minus(&skin),
-        preferred: &along,
-        samples: options.directions,
-    };
-    let printing = print_blocks(setting, coarse, &wanted, ctx)?;
-    clock.lap("blocks");
-    let deficit = printing.unreached.minus(&skin);
-    let excess = cutting.unreached.clone();
-    let below = open_below(setting, coarse, &volumes.reused, &excess, ctx)?;
-    Ok(Attempt { planes, volumes, cutting, printing, excess, deficit, below })
 }
 
 /// Normals of candidate planes: the upper hemisphere, or the sphere where steps may refixture.

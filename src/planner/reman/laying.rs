@@ -1,0 +1,159 @@
+//! What one way (direction, holding, nozzle) lays on a state, and which way lays most.
+//!
+//! Method. Everything a way can lay is found in one sweep from below: a voxel is laid when
+//! something carries it within the overhang angle and the nozzle stands at it clear of the state.
+//! What the block itself has laid lies lower along the direction and is never in the nozzle's way.
+//!
+//! Guarantees: a block's voxels are carried, clear and connected when they are laid.
+
+use super::setting::Setting;
+use crate::access::{CarrierTable, Scene, nozzle_map, reachable};
+use crate::base::{Cancelled, Ctx, DVec3, Direction};
+use crate::machine::Tool;
+use crate::plan::Job;
+use crate::voxel::BitGrid;
+use rayon::prelude::*;
+
+/// A shorter nozzle is taken when it prints this share of what the longest prints.
+const SHORTER_TOOL_SHARE: f64 = 0.97;
+
+/// Ways laid closely for what the coarse grid does not show, those clear at most of it.
+const CLEAREST_WAYS: usize = 8;
+
+/// A way to print: direction, holding and nozzle.
+#[derive(Clone, Copy)]
+pub struct Way<'a> {
+    pub direction: Direction,
+    pub holding: usize,
+    pub tool: &'a Tool,
+}
+
+/// The ways along `directions` with one nozzle, each in the first holding that can point there.
+pub fn ways_along<'a>(
+    setting: &Setting<'a>,
+    directions: &[Direction],
+    tool: &'a Tool,
+) -> Vec<Way<'a>> {
+    let holding = |d: &Direction| (0..setting.holdings.len()).find(|h| setting.can_point(*h, *d));
+    directions
+        .iter()
+        .filter_map(|d| Some(Way { direction: *d, holding: holding(d)?, tool }))
+        .collect()
+}
+
+/// A block that is, or could be, laid.
+pub struct Block<'a> {
+    pub way: Way<'a>,
+    pub region: BitGrid,
+    /// Voxels of it beyond skin.
+    pub gain: usize,
+}
+
+/// What can be laid on a state, on one grid.
+pub struct Layer<'s> {
+    pub job: &'s Job,
+    pub state: &'s BitGrid,
+    pub left: &'s BitGrid,
+    pub core: &'s BitGrid,
+    /// Fixed points of each holding.
+    pub fixed: &'s [Vec<DVec3>],
+}
+
+impl Layer<'_> {
+    /// Indices of the ways that lay any of the core, the one that lays most first.
+    pub fn ranked(&self, ways: &[Way], ctx: &Ctx) -> Result<Vec<usize>, Cancelled> {
+        let gains: Vec<usize> = ways
+            .par_iter()
+            .map(|way| {
+                ctx.check()?;
+                Ok(self.lay(*way).gain)
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        Ok(descending(&gains))
+    }
+
+    /// The few ways whose nozzles stand clear at most of what is left of the core.
+    pub fn clearest<'a>(&self, ways: &[Way<'a>], ctx: &Ctx) -> Result<Vec<Way<'a>>, Cancelled> {
+        let wanted = self.left.and(self.core);
+        let scenes: Vec<Scene> =
+            self.fixed.iter().map(|f| Scene::new(&self.job.frame, self.state, f)).collect();
+        let clear: Vec<usize> = ways
+            .par_iter()
+            .map(|w| {
+                ctx.check()?;
+                Ok(self.clear(*w, &scenes[w.holding], &wanted).count())
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        Ok(descending(&clear).into_iter().take(CLEAREST_WAYS).map(|i| ways[i]).collect())
+    }
+
+    /// The block with the first of some shorter nozzles that lays nearly as much.
+    pub fn with_shorter<'a>(&self, block: Block<'a>, shorter: &'a [Tool]) -> Block<'a> {
+        let least = SHORTER_TOOL_SHARE * block.gain as f64;
+        let mut short = shorter.iter().map(|tool| self.lay(Way { tool, ..block.way }));
+        short.find(|b| b.gain as f64 >= least).unwrap_or(block)
+    }
+
+    /// The block that lays most of the core; of equals the first, none where nothing is laid.
+    pub fn best<'a>(&self, ways: &[Way<'a>], ctx: &Ctx) -> Result<Option<Block<'a>>, Cancelled> {
+        let gains: Vec<usize> = ways
+            .par_iter()
+            .map(|way| {
+                ctx.check()?;
+                Ok(self.lay(*way).gain)
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        let best = (0..ways.len()).max_by_key(|&i| (gains[i], std::cmp::Reverse(i)));
+        Ok(best.filter(|i| gains[*i] > 0).map(|i| self.lay(ways[i])))
+    }
+
+    /// Where a way's nozzle stands clear.
+    fn clear(&self, way: Way, scene: &Scene, candidates: &BitGrid) -> BitGrid {
+        let dip = self.job.rules.nozzle_dip_mm;
+        let map = nozzle_map(scene, candidates, way.tool, way.direction, dip);
+        reachable(&map, candidates, &self.job.frame)
+    }
+
+    /// All that one way lays, from below.
+    pub fn lay<'a>(&self, way: Way<'a>) -> Block<'a> {
+        let job = self.job;
+        let scene = Scene::new(&job.frame, self.state, &self.fixed[way.holding]);
+        let clear = self.clear(way, &scene, self.left);
+        let table = CarrierTable::new(way.direction, job.rules.overhang_deg);
+        let mut voxels: Vec<([usize; 3], f64)> =
+            clear.iter_ones().map(|v| (v, way.direction.dot(job.frame.center(v)))).collect();
+        voxels.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let mut solid = self.state.clone();
+        let mut region = BitGrid::new(self.state.dims());
+        for (v, _) in voxels {
+            if table.carries(&solid, v) && joined(&solid, v) {
+                solid.set(v, true);
+                region.set(v, true);
+            }
+        }
+        Block { way, gain: region.count_and(self.core), region }
+    }
+}
+
+/// Face and edge neighbours within the grid.
+fn joints(v: [usize; 3], dims: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
+    (0..27usize).filter_map(move |i| {
+        let o = [i % 3, i / 3 % 3, i / 9];
+        let far = o.iter().filter(|c| **c != 1).count();
+        let q: [usize; 3] = std::array::from_fn(|a| (v[a] + o[a]).wrapping_sub(1));
+        ((1..=2).contains(&far) && (0..3).all(|a| q[a] < dims[a])).then_some(q)
+    })
+}
+
+/// Indices of what is above 0, the largest first; of equals the first.
+fn descending(counts: &[usize]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..counts.len()).filter(|i| counts[*i] > 0).collect();
+    order.sort_by_key(|&i| (std::cmp::Reverse(counts[i]), i));
+    order
+}
+
+/// Whether a voxel has a solid face or edge neighbour: a carrier alone may touch at a corner only,
+/// and what hangs by a corner is not connected.
+pub fn joined(solid: &BitGrid, v: [usize; 3]) -> bool {
+    joints(v, solid.dims()).any(|q| solid.get(q))
+}

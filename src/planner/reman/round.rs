@@ -1,0 +1,155 @@
+//! One round of the planner: planes are given; cut, print, and cut the supports away.
+
+use super::coarse::Coarse;
+use super::cutting::cut_blocks;
+use super::printing::{Printing, Share, Wanted, print_blocks};
+use super::reasons::open_below;
+use super::setting::Setting;
+use super::{MENDABLE_SHARE, Options};
+use crate::base::{Ctx, Direction};
+use crate::plan::{Job, Plane, Step};
+use crate::planner::PlanError;
+use crate::region::{Volumes, above};
+use crate::voxel::{BitGrid, Connectivity, components, distance_within};
+
+/// Printing is tried again, with some space left free, while all tries together lay at most so
+/// many voxels: seconds on two cores. Large parts get none, they would wait for minutes.
+const MENDING_VOXELS: usize = 400_000;
+
+/// One round: planes, and the blocks made under them.
+pub struct Attempt {
+    pub planes: Vec<Plane>,
+    pub volumes: Volumes,
+    pub steps: Vec<Step>,
+    /// Deep material left standing or missing.
+    pub excess: BitGrid,
+    pub deficit: BitGrid,
+    /// The part of the excess that is open only below: no plane mends that, another holding does.
+    pub below: BitGrid,
+}
+
+impl Attempt {
+    /// Voxels left that a plane could mend.
+    pub fn residual(&self) -> usize {
+        self.excess.count() - self.below.count() + self.deficit.count()
+    }
+
+    /// Complete before valid before neither; of complete and of valid ones more reuse first, of
+    /// the others less residual.
+    pub fn rank(&self, job: &Job) -> (u8, usize, std::cmp::Reverse<usize>) {
+        let residual = self.residual();
+        let reused = std::cmp::Reverse(self.volumes.reused.count());
+        let valid = residual as f64 <= job.rules.deviation * job.target.count() as f64;
+        match (residual, valid) {
+            (0, _) => (0, 0, reused),
+            (_, true) => (1, 0, reused),
+            (n, false) => (2, n, reused),
+        }
+    }
+}
+
+/// Makes the blocks under some planes.
+pub fn attempt(
+    setting: &Setting,
+    coarse: &Coarse,
+    planes: Vec<Plane>,
+    preferred: &[Direction],
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<Attempt, PlanError> {
+    let job = setting.job;
+    let volumes = volumes(job, &planes);
+    let (deep_removed, added) = deep(job, &volumes);
+    let mut along: Vec<Direction> = planes.iter().map(|p| p.normal).collect();
+    along.extend_from_slice(preferred);
+    let cutting =
+        cut_blocks(setting, coarse, &volumes.removed, &deep_removed, options.directions, ctx)?;
+    // Material given up because nothing would hold it may be skin that no cut took: it stands.
+    let added = added.minus(&cutting.state);
+    let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
+    let wanted = Wanted {
+        state: &cutting.state,
+        added: &added,
+        core: &added.minus(&skin),
+        preferred: &along,
+        samples: options.directions,
+    };
+    let printing = printed(setting, coarse, &wanted, ctx)?;
+    let deficit = printing.unreached.minus(&skin);
+    let excess = cutting.unreached.minus(&job.target);
+    let below = open_below(setting, coarse, &volumes.reused, &excess, ctx)?;
+    let mut steps = cutting.steps;
+    steps.extend(printing.steps);
+    Ok(Attempt { planes, volumes, steps, excess, deficit, below })
+}
+
+/// Prints, the largest block first; while that leaves a little, once more with the space of some
+/// later block left free from the beginning, and so on with the best of these.
+fn printed(
+    setting: &Setting,
+    coarse: &Coarse,
+    wanted: &Wanted,
+    ctx: &Ctx,
+) -> Result<Printing, PlanError> {
+    let left = |p: &Printing| p.unreached.count_and(wanted.core);
+    let mut shares: Vec<Share> = Vec::new();
+    let mut best = print_blocks(setting, coarse, wanted, &shares, ctx)?;
+    let most = (MENDABLE_SHARE * setting.job.target.count() as f64) as usize;
+    let mut tries = MENDING_VOXELS / wanted.core.count().max(1);
+    'mending: while (1..=most).contains(&left(&best)) {
+        for share in best.shares.iter().skip(1) {
+            if tries == 0 || ctx.out_of_time() {
+                break 'mending;
+            }
+            tries -= 1;
+            let mut more = shares.clone();
+            more.push(share.clone());
+            let other = print_blocks(setting, coarse, wanted, &more, ctx)?;
+            tracing::debug!(
+                shares = more.len(),
+                left = left(&other),
+                best = left(&best),
+                "mending"
+            );
+            if left(&other) < left(&best) {
+                (best, shares) = (other, more);
+                continue 'mending;
+            }
+        }
+        break;
+    }
+    Ok(best)
+}
+
+/// The volumes when everything above the planes is given up.
+pub fn volumes(job: &Job, planes: &[Plane]) -> Volumes {
+    let mut reusable = job.ideal_reuse();
+    for p in planes {
+        let cut = above(&reusable, &job.frame, p.normal.vec(), p.offset);
+        reusable.subtract(&cut);
+    }
+    let rules = &job.rules;
+    Volumes::keeping(&job.initial, &job.target, &reusable, &job.frame, rules.holding, rules.grip_mm)
+}
+
+/// Removed and added material that counts: the removed beyond skin, and every body of the added
+/// that has some beyond skin.
+pub fn deep(job: &Job, volumes: &Volumes) -> (BitGrid, BitGrid) {
+    let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
+    let removed = volumes.removed.minus(&skin);
+    let core = volumes.added.minus(&skin);
+    let bodies = components(&volumes.added, Connectivity::Corner26);
+    let mut counts = vec![false; bodies.count()];
+    for v in core.iter_ones() {
+        if let Some(l) = bodies.label_of(v) {
+            counts[l as usize] = true;
+        }
+    }
+    let mut added = BitGrid::new(job.frame.dims);
+    for v in volumes.added.iter_ones() {
+        if bodies.label_of(v).is_some_and(|l| counts[l as usize]) {
+            added.set(v, true);
+        }
+    }
+    (removed, added)
+}
