@@ -5,12 +5,14 @@
 //! direction and tool: what it could reach if everything removable were gone. Bounds come from the
 //! coarse grid; what the blocks chosen by them leave is looked for again on the job's own.
 
+use super::bridges::bridges;
 use super::coarse::Coarse;
 use super::setting::Setting;
 use crate::access::{Cut, Scene, cutter_maps, over_cut, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
 use crate::plan::{Action, Origin, Step, StepKind};
+use crate::region::steady;
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
 
@@ -46,6 +48,10 @@ const PATIENCE: usize = 5;
 /// A block that removes this share of what is left may have opened the way for others that were
 /// tried in vain.
 const RETRY_SHARE: f64 = 0.05;
+
+/// A cut that frees pieces is made again with bridges to them so often: bridges may free others,
+/// which is rare twice in a row.
+const BRIDGE_ROUNDS: usize = 6;
 
 /// Cuts `removable` from the initial part as far as tools reach while the rest of it stands.
 /// Only material in `deep` decides which directions are taken; the rest (skin) goes along.
@@ -210,6 +216,29 @@ impl<'a> Cutter<'_, 'a> {
         Ok(fine.into_iter().flatten().collect())
     }
 
+    /// The over-cut along a direction that lets nothing come loose; empty where none does.
+    fn held_cut(&self, mut rest: BitGrid, fixed: &[DVec3], along: &Reach) -> BitGrid {
+        let job = self.setting.job;
+        let state = &self.cutting.state;
+        let Reach { direction, tool, .. } = along;
+        for _ in 0..BRIDGE_ROUNDS {
+            let Cut { region, .. } = over_cut(&job.frame, state, &rest, fixed, tool, *direction);
+            let standing = state.minus(&region);
+            let held = steady(&standing, &job.frame, job.rules.holding, job.rules.grip_mm);
+            let loose = standing.minus(&held);
+            if loose.is_empty() {
+                return region;
+            }
+            let bridges = bridges(&held, &loose, &region);
+            tracing::debug!(loose = loose.count(), bridges = bridges.count(), "bridge");
+            if bridges.is_empty() {
+                break;
+            }
+            rest.subtract(&bridges);
+        }
+        BitGrid::new(state.dims())
+    }
+
     /// Takes directions greedily until none of them removes any more of the deep material. With
     /// `coarse`, bounds are on the coarse grid and blocks that gain little are left alone. What
     /// a `later` holding reaches counts for no gain.
@@ -222,7 +251,6 @@ impl<'a> Cutter<'_, 'a> {
         later: &BitGrid,
         ctx: &Ctx,
     ) -> Result<(), Cancelled> {
-        let job = self.setting.job;
         let (least, patience) =
             if coarse.is_some() { (self.least.max(1), COARSE_PATIENCE) } else { (1, PATIENCE) };
         // Directions that removed too little since the last success.
@@ -235,14 +263,7 @@ impl<'a> Cutter<'_, 'a> {
             let Some(next) = choose(reach, &gains, &barren) else { return Ok(()) };
             let chosen = &reach[next];
             let rest = self.removable.and(&self.cutting.state).minus(later);
-            let Cut { region, .. } = over_cut(
-                &job.frame,
-                &self.cutting.state,
-                &rest,
-                fixed,
-                chosen.tool,
-                chosen.direction,
-            );
+            let region = self.held_cut(rest, fixed, chosen);
             let gain = region.count_and(&self.cutting.unreached);
             tracing::debug!(
                 holding,

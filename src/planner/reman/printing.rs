@@ -60,7 +60,7 @@ const ENOUGH_SHARE: f64 = 0.9;
 const LEAST_SHARE: f64 = 5e-4;
 
 /// And at least this much, mm³: a deposit smaller than a few millimetres of bead has no path.
-const LEAST_MM3: f64 = 1.0;
+const LEAST_MM3: f64 = 2.0;
 
 /// Ways that are looked at closely after the coarse ranking, of the preferred and of the sampled
 /// ones: more costs time, fewer trusts a staircase of coarse voxels too much.
