@@ -7,7 +7,8 @@ use hmplan::mesh::{ReadOptions, TriMesh, read};
 use hmplan::plan::{Job, Plan, Rules, StepKind};
 use hmplan::planner::reman::{self, Report};
 use hmplan::verify::{Verdict, verify};
-use hmplan::voxel::{BitGrid, Frame, voxelise};
+use hmplan::voxel::{BitGrid, Connectivity, Frame, flood, voxelise};
+use proptest::prelude::*;
 use std::path::Path;
 
 /// Coarse enough for a debug build; fine enough that no feature of the pairs is lost.
@@ -118,6 +119,53 @@ fn turned_over_a_part_stands_on_the_top_it_then_has() {
     assert!(verdict.passed(), "{:?}", verdict.lines());
     assert_eq!(verdict.plan.holdings.len(), 2);
     assert!((verdict.plan.holdings[1].height_mm + 16.0).abs() < 1e-9);
+}
+
+/// A foot with boxes on and over it, of 1 mm voxels: corners and sizes within `ROOM`.
+fn blocks() -> impl Strategy<Value = Vec<([usize; 3], [usize; 3])>> {
+    let corner = (1..ROOM[0] - 6, 1..ROOM[1] - 6, 2..ROOM[2] - 5);
+    let size = (3..14usize, 3..14usize, 3..12usize);
+    prop::collection::vec((corner, size), 1..5).prop_map(|boxes| {
+        let foot = ([8, 6, 1], [12, 10, 3]);
+        let array = |(x, y, z)| [x, y, z];
+        let boxes = boxes.into_iter().map(|(c, s)| (array(c), array(s)));
+        std::iter::once(foot).chain(boxes).collect()
+    })
+}
+
+const ROOM: [usize; 3] = [30, 24, 22];
+
+fn solid_of(boxes: &[([usize; 3], [usize; 3])]) -> BitGrid {
+    BitGrid::from_fn(ROOM, |v| {
+        let within = |(lo, size): &([usize; 3], [usize; 3])| {
+            (0..3).all(|a| (lo[a]..lo[a] + size[a]).contains(&v[a]) && v[a] + 1 < ROOM[a])
+        };
+        boxes.iter().any(within)
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
+
+    /// A plan may leave a residual; it may not break any other rule, whatever the parts are.
+    /// Among them: cuts that would free what they do not reach.
+    #[test]
+    fn no_plan_breaks_a_rule_but_the_end(initial in blocks(), target in blocks(), turn in any::<bool>()) {
+        let frame = Frame { pitch: 1.0, dims: ROOM, origin: DVec3::new(-15.0, -12.0, -1.0) };
+        let holding = if turn { HoldingMode::Refixture } else { HoldingMode::Base };
+        let mesh = TriMesh::cuboid(DVec3::new(-14.0, -11.0, 0.0), DVec3::new(14.0, 11.0, 20.0));
+        let solids = [&initial, &target].map(|b| largest(&solid_of(b)));
+        let job = with_solids(frame, solids, [mesh.clone(), mesh], holding);
+        let (verdict, _) = planned(&job);
+        let failed = verdict.failed_rules();
+        prop_assert!(failed.iter().all(|r| *r == "end"), "{:?}", verdict.lines());
+    }
+}
+
+/// The body that stands on the foot.
+fn largest(solid: &BitGrid) -> BitGrid {
+    let foot = BitGrid::from_fn(ROOM, |v| v[2] == 1);
+    flood(solid, &foot, Connectivity::Face6)
 }
 
 #[test]
