@@ -5,6 +5,7 @@
 //! knows, short enough as it is written, and within the machine's travel as far as it can be told
 //! without knowing the work offset: rotary angles and G53 moves exactly, others by their span.
 
+use super::core::EndPoint;
 use super::modal::{AXES, Modal, Rates, tenths};
 use super::script::{Class, ModuleCode, Script};
 use super::{Dialect, codes};
@@ -55,6 +56,8 @@ pub struct Setting<'a> {
 pub struct Preflight {
     pub script: Script,
     pub warnings: Vec<String>,
+    /// Where the program ends, as far as it can be told.
+    pub end: Vec<EndPoint>,
 }
 
 /// Looks at a whole program.
@@ -87,7 +90,8 @@ pub fn preflight(text: &[u8], setting: &Setting) -> Result<Preflight, Vec<Fault>
         return Err(run.faults);
     }
     let warnings = warnings(&run.script, setting, run.ended);
-    Ok(Preflight { script: run.script, warnings })
+    let end = end_points(&run.modal);
+    Ok(Preflight { script: run.script, warnings, end })
 }
 
 fn warnings(script: &Script, setting: &Setting, ended: Option<u32>) -> Vec<String> {
@@ -110,6 +114,20 @@ fn warnings(script: &Script, setting: &Setting, ended: Option<u32>) -> Vec<Strin
         );
     }
     out
+}
+
+/// Linear coordinates at the end that a controller's report can be held against. A work coordinate
+/// system other than the first, or an offset the program sets, is undone by M30 on some controls.
+fn end_points(modal: &Modal) -> Vec<EndPoint> {
+    let plain = modal.system == 54 && !modal.shifted;
+    let of = |axis: usize| {
+        let letter = AXES[axis];
+        let machine = modal.machine[axis].map(|at| EndPoint { axis, letter, at, machine: true });
+        let lifted = axis == 2 && modal.length.is_some();
+        let work = modal.work[axis].filter(|_| plain && !lifted);
+        machine.or(work.map(|at| EndPoint { axis, letter, at, machine: false }))
+    };
+    (0..3).filter_map(of).collect()
 }
 
 struct Run<'a> {

@@ -362,7 +362,8 @@ impl Core {
             } else {
                 *self.work_position(status)?.get(e.axis)?
             };
-            let off = (found - e.at).abs() > END_TOLERANCE;
+            // Some are set to report inches.
+            let off = [1.0, 25.4].iter().all(|u| (found * u - e.at).abs() > END_TOLERANCE);
             off.then(|| format!("{} is at {found:.3}, the program ends at {:.3}", e.letter, e.at))
         })
     }
