@@ -16,7 +16,7 @@ use super::core::{Device, SECOND};
 use super::modal::Rates;
 use super::sim::{Fault, FaultScript, FaultWay, SimSetup};
 use super::world_tests::{Person, World};
-use super::{Dialect, Ending, Preflight, Setting, preflight};
+use super::{Cleared, Dialect, Ending, Preflight, Setting, preflight};
 use crate::base::{Rng, rng};
 use crate::machine::Machine;
 use rand::RngExt as _;
@@ -68,7 +68,8 @@ fn program(rng: &mut Rng, kind: Kind) -> String {
 
 fn looked_at(text: &str, kind: Kind, machine: &Machine) -> Preflight {
     let setting = Setting { machine, control: kind.control, extruder: kind.extruder };
-    preflight(text.as_bytes(), &setting).unwrap_or_else(|f| panic!("{}\n{text}", f[0]))
+    preflight(&Cleared::unchecked(text.into()), &setting)
+        .unwrap_or_else(|f| panic!("{}\n{text}", f[0]))
 }
 
 fn world(rng: &mut Rng, kind: Kind, machine: &Machine) -> (World, Preflight, FaultScript) {
@@ -114,7 +115,10 @@ fn run(seed: u64, kind: Kind, machine: &Machine) -> Result<bool, String> {
         stops: rng.random_bool(0.15).then(|| rng.random_range(0..30 * SECOND)),
         again: rng.random_bool(0.3).then(|| rng.random_range(0..SECOND)),
     };
-    let outcome = w.run(person);
+    let Some(outcome) = w.run(person) else {
+        let last: Vec<_> = w.notes.iter().rev().take(4).collect();
+        return Err(format!("seed {seed}, {}, {faults:?} does not end: {last:?}", kind.control));
+    };
     let told = || format!("seed {seed}, {}, {faults:?}, {outcome:?}", kind.control);
     let code = outcome.ending.exit_code();
     must!(matches!(code, 0 | 3 | 130), told, "exit code {code}");
@@ -252,7 +256,7 @@ fn five_per_cent_damaged_lines_run_once_each_on_marlin() {
         let sim =
             SimSetup { ok_after_resend, flushes, records: true, ..SimSetup::new(kind.control) };
         let mut w = World::new(&p, [Some(sim), None], [script, FaultScript::default()], false);
-        let outcome = w.run(Person::default());
+        let outcome = w.run(Person::default()).unwrap();
         assert_eq!(outcome.ending, Ending::Done, "{outcome:?}");
         let want: Vec<&str> = (0..p.script.len()).map(|i| p.script.text(i)).collect();
         assert_eq!(w.ran(Device::Control), want, "of {damaged} damaged lines");

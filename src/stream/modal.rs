@@ -4,6 +4,7 @@
 //! are a lower bound. Positions are what the program says; after a move in machine coordinates the
 //! work position of its axes is not known, and the other way round.
 
+use super::script::ModuleCode;
 use crate::gcode::Word;
 use crate::machine::Machine;
 
@@ -53,6 +54,20 @@ pub struct Module {
     pub open: bool,
     pub on: bool,
     pub drawn: bool,
+}
+
+impl Module {
+    /// What a code does to it.
+    pub fn run(&mut self, code: ModuleCode) {
+        match code {
+            ModuleCode::Open => self.open = true,
+            ModuleCode::Close => self.open = false,
+            ModuleCode::On => self.on = true,
+            ModuleCode::Off => self.on = false,
+            ModuleCode::Draw => self.drawn = true,
+            ModuleCode::Give => self.drawn = false,
+        }
+    }
 }
 
 /// What holds at some line of a program.

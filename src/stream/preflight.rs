@@ -8,7 +8,7 @@
 use super::core::EndPoint;
 use super::modal::{AXES, Modal, Rates, tenths};
 use super::script::{Class, ModuleCode, Script};
-use super::{Dialect, codes};
+use super::{Cleared, Dialect, codes};
 use crate::gcode::{Word, read_block};
 use crate::machine::{ExtruderPort, Machine};
 
@@ -64,7 +64,12 @@ pub struct Preflight {
 ///
 /// # Errors
 /// The first faults, in the order of the lines.
-pub fn preflight(text: &[u8], setting: &Setting) -> Result<Preflight, Vec<Fault>> {
+pub fn preflight(program: &Cleared, setting: &Setting) -> Result<Preflight, Vec<Fault>> {
+    look_at(program.text(), setting)
+}
+
+/// As [`preflight`], for lines of the sender's own too.
+pub(super) fn look_at(text: &[u8], setting: &Setting) -> Result<Preflight, Vec<Fault>> {
     let mut run = Run {
         setting,
         rates: Rates::of(setting.machine),
@@ -175,7 +180,9 @@ impl Run<'_> {
             }
         }
         let effect = self.modal.apply(&words, &self.rates);
-        self.track(class);
+        if let Class::Extruder(code) = class {
+            self.modal.module.run(code);
+        }
         self.travel(&words)?;
         self.script.push(number, &text, class, effect.moves, [effect.seconds, effect.dwell_s]);
         if class == Class::End {
@@ -267,20 +274,6 @@ impl Run<'_> {
             ));
         }
         Ok(())
-    }
-
-    fn track(&mut self, class: Class) {
-        let m = &mut self.modal.module;
-        if let Class::Extruder(code) = class {
-            match code {
-                ModuleCode::Open => m.open = true,
-                ModuleCode::Close => m.open = false,
-                ModuleCode::On => m.on = true,
-                ModuleCode::Off => m.on = false,
-                ModuleCode::Draw => m.drawn = true,
-                ModuleCode::Give => m.drawn = false,
-            }
-        }
     }
 
     fn travel(&mut self, words: &[Word]) -> Result<(), String> {
@@ -391,7 +384,7 @@ mod tests {
     fn with(text: &[u8], control: Dialect, extruder: Option<Dialect>) -> Result<Preflight, String> {
         let machine = Machine::builtin("generic-5axis").unwrap();
         let setting = Setting { machine: &machine, control, extruder };
-        preflight(text, &setting).map_err(|f| f[0].to_string())
+        look_at(text, &setting).map_err(|f| f[0].to_string())
     }
 
     fn hal(text: &str) -> Result<Preflight, String> {

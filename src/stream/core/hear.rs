@@ -141,6 +141,7 @@ impl Core {
             Tag::Line(i) => {
                 // A named answer, or one found by asking again, stands for those before it.
                 self.confirmed = self.confirmed.max(i + 1);
+                self.told_to_go_on = false;
                 if self.waits {
                     self.waits = false;
                     out.push(Action::Note(Note::GoesOn));
@@ -170,7 +171,7 @@ impl Core {
                 }
             }
             Tag::Ask | Tag::Check => self.ready(device),
-            Tag::Drain { .. } | Tag::Off => {}
+            Tag::Drain { .. } => {}
         }
     }
 

@@ -21,8 +21,6 @@ pub(super) enum Tag {
     Check,
     /// Waits for motion; the last of its lines.
     Drain { last: bool },
-    /// Switches something off.
-    Off,
 }
 
 /// What an answer means for the lines.

@@ -12,8 +12,6 @@ mod numbered;
 mod stop;
 
 pub use event::{Action, Command, Device, EndPoint, Event, Limits, Micros, Note, SECOND, Setup};
-#[cfg(test)]
-pub(super) use numbered::framed;
 
 use super::outcome::{Ending, Outcome, Position};
 use super::reply::Lines;
@@ -90,6 +88,8 @@ pub struct Core {
     resting: Option<Micros>,
     held_by_person: bool,
     waits: bool,
+    /// The person said to go on; the answer is now due.
+    told_to_go_on: bool,
     outcome: Option<Outcome>,
 }
 
@@ -136,6 +136,7 @@ impl Core {
             resting: None,
             held_by_person: false,
             waits: false,
+            told_to_go_on: false,
             outcome: None,
         }
     }
@@ -397,6 +398,7 @@ impl Core {
             Command::Resume => {
                 self.held_by_person = false;
                 self.waits = false;
+                self.told_to_go_on = true;
                 self.resting = None;
                 if grbl {
                     out.push(Action::Realtime(Device::Control, b'~'));
@@ -451,14 +453,15 @@ impl Core {
                 }
                 continue;
             }
+            let oldest = p.link.oldest();
             if device == Device::Control && self.waits_in_flight() && !self.waits {
                 self.waits = true;
-                let number = p.link.oldest().map_or(0, |t| self.number(t));
+                let number = oldest.map_or(0, |t| self.number(t));
                 out.push(Action::Note(Note::Waits { number, why: "the program pauses" }));
-                continue;
             }
             let waiting = !p.link.is_idle() || self.drain_unanswered(device);
-            if !waiting || self.held_by_person || self.waits_in_flight() {
+            let pauses = self.waits_in_flight() && !self.told_to_go_on;
+            if !waiting || self.held_by_person || pauses {
                 continue;
             }
             let since = quiet.min(self.now - p.wrote);
@@ -522,7 +525,6 @@ impl Core {
             Tag::Ask => "$I".into(),
             Tag::Check => "$C".into(),
             Tag::Drain { .. } => self.setup.control.drain().join(" ").into(),
-            Tag::Off => "switching off".into(),
         }
     }
 

@@ -54,7 +54,7 @@ pub(super) struct Numbered {
 }
 
 /// The line as it is written.
-pub(in crate::stream) fn framed(number: u32, text: &str) -> Vec<u8> {
+fn framed(number: u32, text: &str) -> Vec<u8> {
     let body = format!("N{number} {text}");
     let sum = body.bytes().fold(0, |a, b| a ^ b);
     format!("{body}*{sum}\n").into_bytes()

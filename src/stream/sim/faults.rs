@@ -202,11 +202,12 @@ impl Faulty {
         }
     }
 
-    /// What reaches the sender.
-    pub fn take(&mut self) -> Vec<u8> {
+    /// What reaches the sender, at most so many bytes.
+    pub fn take(&mut self, most: usize) -> Vec<u8> {
         if self.hung_up || self.stalled.is_some() {
             return Vec::new();
         }
-        std::mem::take(&mut self.out)
+        let rest = self.out.split_off(most.min(self.out.len()));
+        std::mem::replace(&mut self.out, rest)
     }
 }

@@ -16,9 +16,9 @@ mod plain;
 
 pub use faults::{Fault, Faulty, Script as FaultScript, Way as FaultWay};
 
-use super::Dialect;
 use super::core::Micros;
 use super::modal::{Module, Rates};
+use super::{Dialect, ModuleCode};
 
 /// What is simulated.
 #[derive(Clone, Debug, PartialEq)]
@@ -156,14 +156,13 @@ impl Sim {
 
 /// What a module code does to the module; false when it is none.
 fn run_module(setup: &SimSetup, code: u32, module: &mut Module) -> bool {
-    match setup.module_codes.iter().position(|c| *c == code) {
-        Some(0) => module.open = true,
-        Some(1) => module.open = false,
-        Some(2) => module.on = true,
-        Some(3) => module.on = false,
-        Some(4) => module.drawn = true,
-        Some(5) => module.drawn = false,
-        _ => return false,
+    const CODES: [ModuleCode; 6] = {
+        use ModuleCode::{Close, Draw, Give, Off, On, Open};
+        [Open, Close, On, Off, Draw, Give]
+    };
+    let found = setup.module_codes.iter().position(|c| *c == code).map(|i| CODES[i]);
+    if let Some(code) = found {
+        module.run(code);
     }
-    true
+    found.is_some()
 }
