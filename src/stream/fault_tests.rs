@@ -22,7 +22,7 @@ use crate::machine::Machine;
 use rand::RngExt as _;
 use rayon::prelude::*;
 
-const RUNS: u64 = 10_000;
+const RUNS: u64 = 1_500;
 
 /// What a kind of run is made of.
 #[derive(Clone, Copy)]
@@ -51,7 +51,7 @@ fn program(rng: &mut Rng, kind: Kind) -> String {
             0 => format!("G4 P0.{}\n", 1 + i % 9),
             1 if grbl => "G10 L2 P2 X0 Y0 Z0\n".to_string(),
             2 => "M0\n".into(),
-            3 => "S8000 M3\n".into(),
+            3 => "M3 S8000\n".into(),
             4 => "M05\n".into(),
             5 | 6 if open => "M72\n".into(),
             7 | 8 if open => "M73\n".into(),
@@ -123,7 +123,7 @@ fn run(seed: u64, kind: Kind, machine: &Machine) -> Result<bool, String> {
     let code = outcome.ending.exit_code();
     must!(matches!(code, 0 | 3 | 130), told, "exit code {code}");
     must!((code == 130) == (outcome.ending == Ending::Stopped), told, "exit code {code}");
-    must!(code != 130 || person.stops.is_some(), told, "nobody stopped it");
+    must!(code != 130 || person.stops.is_some() || w.gave_up, told, "nobody stopped it");
     let all = p.script.len();
     must!(outcome.confirmed <= all && outcome.settled <= all, told, "counts");
     if kind.control.is_grbl() {
@@ -154,9 +154,9 @@ fn prefix(
             let extrudes = matches!(p.script.lines()[*i].class, super::Class::Extruder(_));
             extrudes == (device == Device::Extruder)
         };
-        let want: Vec<&str> =
-            (0..p.script.len()).filter(of_device).map(|i| p.script.text(i)).collect();
-        let ran = w.ran(device);
+        let want: Vec<String> =
+            (0..p.script.len()).filter(of_device).map(|i| squeezed(p.script.text(i))).collect();
+        let ran: Vec<String> = w.ran(device).iter().map(|l| squeezed(l)).collect();
         let off = ["M73", "M74", "M71"];
         let numbered = kind.control.is_numbered() && device == Device::Control;
         // Lines that reached the device whole, the sender's own among them.
@@ -182,6 +182,11 @@ fn prefix(
         }
     }
     Ok(unseen)
+}
+
+/// Without spaces, which controllers drop: a lost or doubled one changes nothing.
+fn squeezed(line: &str) -> String {
+    line.split_whitespace().collect()
 }
 
 /// All runs of a kind; the number of unseen damages.

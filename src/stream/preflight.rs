@@ -363,6 +363,11 @@ fn bare(raw: &[u8]) -> Result<Option<String>, String> {
 
 /// Refuses codes the dialect does not have.
 fn known(dialect: Dialect, words: &[Word]) -> Result<(), String> {
+    let codes = words.iter().filter(|w| matches!(w.letter, 'G' | 'M')).count();
+    let begins = words.iter().find(|w| w.letter != 'N').map_or(' ', |w| w.letter);
+    if dialect == Dialect::Marlin && (codes > 1 || !matches!(begins, 'G' | 'M' | 'T')) {
+        return Err("marlin takes one code a block, in front: G, M or T".into());
+    }
     for w in words.iter().filter(|w| matches!(w.letter, 'G' | 'M')) {
         let code = tenths(w.value);
         let listed = code.is_some_and(|c| match w.letter {

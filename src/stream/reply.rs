@@ -69,6 +69,8 @@ pub enum Reply {
     Echo(String),
     /// Alive and not ready yet.
     Busy,
+    /// Waits for a person.
+    Paused,
     /// Where the tool is: the answer to M114.
     Position(Vec<f64>),
     Unknown(String),
@@ -247,7 +249,7 @@ fn marlin(line: &str) -> Reply {
         return if link { Reply::Damaged } else { Reply::Fatal(line.into()) };
     }
     if lower.starts_with("busy:") || lower.starts_with("echo:busy") || lower == "wait" {
-        return Reply::Busy;
+        return if lower.contains("paused") { Reply::Paused } else { Reply::Busy };
     }
     if let Some(rest) = lower.strip_prefix("echo:unknown command:") {
         let at = line.len() - rest.len();

@@ -297,7 +297,7 @@ fn preamble(setting: &Setting, m: &Modal, at: Option<[f64; 3]>) -> Vec<String> {
     }
     if let Some(s) = m.speed.filter(|_| m.spindle != Spindle::Off) {
         let code = if m.spindle == Spindle::Clockwise { 3 } else { 4 };
-        out.push(format!("S{} M{code}", number(s)));
+        out.push(format!("M{code} S{}", number(s)));
     }
     if m.mist {
         out.push("M7".into());
@@ -324,16 +324,15 @@ fn preamble(setting: &Setting, m: &Modal, at: Option<[f64; 3]>) -> Vec<String> {
     if let Some(z) = word(2) {
         out.push(format!("G1{z} F{}", number(feed.min(PLUNGE_MM_MIN))));
     }
-    if m.feed.is_some() {
-        out.push(format!("F{}", number(if m.inches { feed / 25.4 } else { feed })));
-    }
     if m.inches {
         out.push("G20".into());
-        // The feed is read in the unit in force.
-        let last = out.len() - 1;
-        out.swap(last, last - usize::from(m.feed.is_some()));
     }
-    out.push(if m.way == Way::Feed { "G1" } else { "G0" }.into());
+    if m.feed.is_some() {
+        out.push(format!("G1 F{}", number(if m.inches { feed / 25.4 } else { feed })));
+    }
+    if m.way != Way::Feed {
+        out.push("G0".into());
+    }
     out
 }
 
@@ -405,15 +404,14 @@ mod tests {
                 "G43 H1",
                 "G0 A30 C45",
                 "G0 X20 Y7.5",
-                "S9000 M3",
+                "M3 S9000",
                 "G4 P3",
                 "G1 Z10 F200",
-                "F600",
-                "G1"
+                "G1 F600"
             ]
         );
         let s = &r.preflight.script;
-        assert_eq!((s.text(14), s.number(14), s.number(13)), ("Y20", 12, 0));
+        assert_eq!((s.text(13), s.number(13), s.number(12)), ("Y20", 12, 0));
         assert_eq!(s.text(s.len() - 1), "M30");
     }
 
@@ -433,7 +431,7 @@ mod tests {
         };
         assert_eq!(with(&|l| l.sha256 = "0".into()), Err(Refusal::OtherProgram));
         assert_eq!(with(&|l| l.end = None), Err(Refusal::PositionUnknown));
-        let away = told([13, 13, 2], Some([7.0, 7.0, 7.0]), &[]);
+        let away = told([13, 13, 9], Some([7.0, 7.0, 7.0]), &[]);
         assert!(matches!(go(&away, Said::default()), Err(Refusal::NotOnPath(..))));
         let said = |line| Said { position_known: true, from_line: Some(line) };
         let cut = told([14, 14, 2], None, &[]);

@@ -44,6 +44,10 @@ pub struct World {
     waits: Option<Micros>,
     gone: [bool; 2],
     own: [usize; 2],
+    /// Lines answered, and when that last changed.
+    seen: (usize, Micros),
+    /// The person stopped it because nothing happened any more.
+    pub gave_up: bool,
 }
 
 impl World {
@@ -84,6 +88,8 @@ impl World {
             waits: None,
             gone: [false; 2],
             own: [0; 2],
+            seen: (0, 0),
+            gave_up: false,
         }
     }
 
@@ -107,6 +113,15 @@ impl World {
             if self.waits.is_some_and(|t| self.now >= t) {
                 self.waits = None;
                 self.event(Event::Command(Command::Resume));
+            }
+            let confirmed = self.core.progress().1;
+            if confirmed != self.seen.0 {
+                self.seen = (confirmed, self.now);
+            } else if self.now >= self.seen.1 + 300 * SECOND {
+                // Nothing has happened for long; a person gives up.
+                self.seen.1 = self.now;
+                self.gave_up = true;
+                self.event(Event::Command(Command::Stop));
             }
             self.event(Event::Tick);
             let mut next = self.core.wake().max(self.now + 1);
@@ -162,6 +177,9 @@ impl World {
                 self.open.pop_front();
             }
             let banner = line.starts_with("Grbl") || line == "start" || line.starts_with("RepRap");
+            if banner && !self.began {
+                self.open.clear();
+            }
             let fall = line.starts_with("error:") || line.starts_with("ALARM:") || banner;
             self.fallen |= self.began && !self.stopping && fall;
         }
@@ -169,6 +187,7 @@ impl World {
 
     fn event(&mut self, event: Event) {
         let mut out = Vec::new();
+        let before = self.after_fall.len();
         self.core.handle(self.now, event, &mut out);
         for action in out {
             match action {
@@ -194,7 +213,13 @@ impl World {
                         self.after_fall.push(format!("byte 0x{b:02X}"));
                     }
                 }
-                Action::Discard(device) => self.queues[device.index()].clear(),
+                Action::Discard(device) => {
+                    self.queues[device.index()].clear();
+                    if device == Device::Control {
+                        // Queued for replies that came before the fall in the same breath.
+                        self.after_fall.truncate(before);
+                    }
+                }
                 Action::Note(note) => {
                     self.began |= note == Note::Began;
                     self.stopping |= matches!(note, Note::Stopping(_));
@@ -232,4 +257,4 @@ impl World {
 }
 
 /// Lines that programs of these tests do not have in this spelling.
-const OWN: [&str; 9] = ["G4P0", "M400", "M114", "M5", "M9", "M107", "M410", "$I", ""];
+const OWN: [&str; 10] = ["M108", "G4P0", "M400", "M114", "M5", "M9", "M107", "M410", "$I", ""];

@@ -62,6 +62,12 @@ impl Core {
                     p.link.receive_buffer(dialect, *bytes);
                 }
             }
+            Reply::Paused if !self.waits => {
+                self.waits = true;
+                let oldest = self.peer(device).and_then(|p| p.link.oldest());
+                let number = oldest.map_or(0, |t| self.number(t));
+                out.push(Action::Note(Note::Waits { number, why: "the program pauses" }));
+            }
             Reply::Position(at) => self.position(device, at.clone(), out),
             Reply::Info(text) => {
                 out.push(Action::Note(Note::Said { device, text: text.clone() }));
@@ -233,6 +239,10 @@ impl Core {
                 }
             }
         }
+        let open = self.peers[0].as_ref().is_some_and(|p| !p.link.is_idle());
+        if matches!(status.state, State::Idle | State::Check) && open {
+            self.resting = self.resting.or(Some(self.now));
+        }
         match self.phase {
             Phase::Greeting => self.status_at_start(status.state, out),
             Phase::Running | Phase::Finishing { .. } => self.status_in_job(status.state, out),
@@ -260,10 +270,6 @@ impl Core {
     fn status_in_job(&mut self, state: State, out: &mut Vec<Action>) {
         match state {
             State::Idle | State::Check => {
-                let open = self.peers[0].as_ref().is_some_and(|p| !p.link.is_idle());
-                if open {
-                    self.resting = self.resting.or(Some(self.now));
-                }
                 let quiet = self.all_idle();
                 if let Phase::Finishing { idle } = &mut self.phase
                     && quiet

@@ -402,7 +402,7 @@ impl Core {
                 self.resting = None;
                 if grbl {
                     out.push(Action::Realtime(Device::Control, b'~'));
-                } else if self.waits_in_flight() {
+                } else if self.setup.control.is_numbered() {
                     // Goes without a number, since the device reads no further than the pause.
                     out.push(Action::Write(Device::Control, b"M108\n".to_vec()));
                 }

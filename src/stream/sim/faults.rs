@@ -122,9 +122,14 @@ impl Faulty {
             }
             let n = self.seen[0];
             self.seen[0] += 1;
-            for fault in self.script.faults.clone() {
-                match fault {
-                    Fault::Reset(at) if at == n => self.sim.power_cycle(now),
+            for i in 0..self.script.faults.len() {
+                match self.script.faults[i] {
+                    Fault::Reset(at) if at == n => {
+                        // What was on its way meets a boot loader.
+                        self.unread.clear();
+                        self.stalled = None;
+                        self.sim.power_cycle(now);
+                    }
                     Fault::HangUp(at) if at == n => self.hung_up = true,
                     Fault::Stall(at, takes) if at == n => {
                         self.stalled = Some(takes.map(|t| now + t));

@@ -1,7 +1,7 @@
 //! grbl 1.1 and grblHAL, simulated.
 
 use super::motion::Motion;
-use super::{Record, SimSetup, run_module};
+use super::{BOOTING, Record, SimSetup, run_module};
 use crate::gcode::{BadBlock, Word, read_block};
 use crate::stream::core::{Micros, SECOND};
 use crate::stream::modal::{Modal, Spindle, tenths};
@@ -55,6 +55,8 @@ pub struct Grbl {
     /// grblHAL answers every line with it until a blank one.
     sticky: Option<u32>,
     asked: u32,
+    /// Until when it boots.
+    boots: Micros,
     pub(super) out: Vec<u8>,
     pub(super) record: Record,
 }
@@ -75,6 +77,7 @@ impl Grbl {
             check: false,
             sticky: None,
             asked: 0,
+            boots: 0,
             out: Vec::new(),
             record: Record::default(),
         };
@@ -102,7 +105,8 @@ impl Grbl {
     pub(super) fn receive(&mut self, bytes: &[u8], now: Micros) {
         self.advance(now);
         for b in bytes {
-            if matches!(self.wait, Some(Wait::Deaf(until)) if now < until) {
+            let storing = matches!(self.wait, Some(Wait::Deaf(until)) if now < until);
+            if storing || now < self.boots {
                 self.record.deaf += 1;
                 continue;
             }
@@ -152,6 +156,8 @@ impl Grbl {
         self.advance(now);
         self.record.lost_position |= self.motion.moves(now);
         self.begin_anew(now);
+        // The boot loader swallows what arrives.
+        self.boots = now + BOOTING;
     }
 
     fn begin_anew(&mut self, now: Micros) {

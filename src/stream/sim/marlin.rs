@@ -1,7 +1,7 @@
 //! Marlin and RepRapFirmware, simulated: a queue of lines, numbers, checksums, requests.
 
 use super::motion::Motion;
-use super::{Record, SimSetup, run_module};
+use super::{BOOTING, Record, SimSetup, run_module};
 use crate::gcode::{Word, read_block};
 use crate::stream::core::{Micros, SECOND};
 use crate::stream::modal::{Modal, Spindle, tenths};
@@ -29,13 +29,16 @@ pub struct Marlin {
     line: Vec<u8>,
     /// What the emergency parser has seen of the line.
     urgent: Vec<u8>,
-    queue: VecDeque<String>,
+    /// Lines, and whether they had a number.
+    queue: VecDeque<(String, bool)>,
     last: u32,
     wait: Option<Wait>,
     busy_at: Micros,
     motion: Motion,
     modal: Modal,
     halted: bool,
+    /// Until when it boots.
+    boots: Micros,
     pub(super) out: Vec<u8>,
     pub(super) record: Record,
 }
@@ -54,6 +57,7 @@ impl Marlin {
             busy_at: 0,
             modal: Modal { work: [Some(0.0); 6], ..Modal::default() },
             halted: false,
+            boots: 0,
             out: Vec::new(),
             record: Record::default(),
         };
@@ -93,17 +97,18 @@ impl Marlin {
         if self.setup.module {
             self.record.module = Default::default();
         }
+        self.boots = now + BOOTING;
         self.banner();
     }
 
     pub(super) fn receive(&mut self, bytes: &[u8], now: Micros) {
         self.advance(now);
-        for b in bytes {
-            self.urgently(*b, now);
+        for b in bytes.iter().filter(|_| now >= self.boots).copied().collect::<Vec<u8>>() {
+            self.urgently(b, now);
             if self.ring.len() >= self.setup.dialect.receive_bytes() {
                 self.record.overrun += 1;
             } else {
-                self.ring.push_back(*b);
+                self.ring.push_back(b);
             }
             self.run(now);
         }
@@ -146,7 +151,8 @@ impl Marlin {
         self.run(now);
         if self.wait.is_some() && now >= self.busy_at + KEEPALIVE && !self.rrf() && !self.halted {
             self.busy_at = now;
-            self.say("echo:busy: processing");
+            let person = self.wait == Some(Wait::Person);
+            self.say(if person { "echo:busy: paused for user" } else { "echo:busy: processing" });
         }
     }
 
@@ -172,9 +178,9 @@ impl Marlin {
                 }
                 continue;
             }
-            let Some(line) = self.queue.pop_front() else { return };
+            let Some((line, numbered)) = self.queue.pop_front() else { return };
             self.busy_at = now;
-            self.execute(&line);
+            self.execute(&line, numbered);
         }
     }
 
@@ -200,7 +206,7 @@ impl Marlin {
     /// Checks number and checksum; what is right goes into the queue.
     fn take(&mut self, text: &str) {
         let Some(rest) = text.strip_prefix('N') else {
-            self.queue.push_back(text.to_string());
+            self.queue.push_back((text.to_string(), false));
             return;
         };
         let digits = rest.bytes().take_while(u8::is_ascii_digit).count();
@@ -218,7 +224,7 @@ impl Marlin {
         };
         self.last = number;
         let command = body[1 + digits..].trim().to_string();
-        self.queue.push_back(command);
+        self.queue.push_back((command, true));
     }
 
     fn ask_again(&mut self, why: &str, silently: bool) {
@@ -241,7 +247,7 @@ impl Marlin {
         }
     }
 
-    fn execute(&mut self, line: &str) {
+    fn execute(&mut self, line: &str, numbered: bool) {
         if line.starts_with("M110") {
             return self.say("ok");
         }
@@ -249,7 +255,8 @@ impl Marlin {
             self.say(&format!("echo:Unknown command: \"{line}\""));
             return self.say("ok");
         };
-        if self.setup.records {
+        // The sender's own words without a number are no lines of a program.
+        if self.setup.records && (numbered || !line.starts_with('M')) {
             self.record.run.push(line.into());
         }
         let effect = self.modal.apply(&words, &self.setup.rates);
@@ -295,8 +302,9 @@ impl Marlin {
                 codes::knows_m(self.setup.dialect, code)
                     || matches!(code, 1140 | 1080 | 4100 | 1120 | 1070)
             }
+            'T' => true,
             // A move goes on with the code of the last.
-            'X' | 'Y' | 'Z' | 'T' | 'F' => true,
+            'X' | 'Y' | 'Z' | 'S' | 'F' => self.rrf(),
             _ => false,
         }
     }

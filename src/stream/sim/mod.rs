@@ -16,9 +16,12 @@ mod plain;
 
 pub use faults::{Fault, Faulty, Script as FaultScript, Way as FaultWay};
 
-use super::core::Micros;
+use super::core::{Micros, SECOND};
 use super::modal::{Module, Rates};
 use super::{Dialect, ModuleCode};
+
+/// What a boot loader takes, during which received bytes are lost.
+const BOOTING: Micros = SECOND;
 
 /// What is simulated.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,6 +1,6 @@
 //! An Arduino with the extruder module: one line in, one answer out.
 
-use super::{Record, SimSetup, run_module};
+use super::{BOOTING, Record, SimSetup, run_module};
 use crate::stream::core::{Micros, SECOND};
 use crate::stream::modal::Module;
 use std::collections::VecDeque;
@@ -15,6 +15,8 @@ pub struct Plain {
     line: Vec<u8>,
     /// Until when it acts, and the answer it then gives.
     acts: Option<(Micros, String)>,
+    /// Until when it boots.
+    boots: Micros,
     pub(super) out: Vec<u8>,
     pub(super) record: Record,
 }
@@ -26,12 +28,14 @@ impl Plain {
             ring: VecDeque::new(),
             line: Vec::new(),
             acts: None,
+            boots: 0,
             out: b"ready\n".to_vec(),
             record: Record::default(),
         }
     }
 
-    pub(super) fn power_cycle(&mut self, _now: Micros) {
+    pub(super) fn power_cycle(&mut self, now: Micros) {
+        self.boots = now + BOOTING;
         self.ring.clear();
         self.line.clear();
         self.acts = None;
@@ -42,6 +46,10 @@ impl Plain {
     pub(super) fn receive(&mut self, bytes: &[u8], now: Micros) {
         self.advance(now);
         for b in bytes {
+            if now < self.boots {
+                self.record.deaf += 1;
+                continue;
+            }
             if self.ring.len() >= self.setup.dialect.receive_bytes() {
                 self.record.overrun += 1;
             } else {
