@@ -7,7 +7,8 @@
 //!
 //! Numbered dialects and those that repeat what they read see every damaged byte, so there the
 //! prefix is exact whatever happens (one damaged byte a line: the exclusive or is blind to two that
-//! cancel). grbl, grblHAL and the plain dialect have no checksum; a damaged line that is still a
+//! cancel). A device that begins anew loses what arrives while it boots; one that is reset without
+//! booting may run what was on the wire, which no sender can call back. grbl, grblHAL and the plain dialect have no checksum; a damaged line that is still a
 //! valid block cannot be told from a good one by anything in the protocol. There the prefix is
 //! asked of the lines before the first damaged byte, and a success in spite of damage is allowed
 //! but counted, and must stay rare.
@@ -22,7 +23,7 @@ use crate::machine::Machine;
 use rand::RngExt as _;
 use rayon::prelude::*;
 
-const RUNS: u64 = 1_500;
+const RUNS: u64 = 10_000;
 
 /// What a kind of run is made of.
 #[derive(Clone, Copy)]
@@ -214,7 +215,7 @@ fn dialect(control: Dialect, extruder: Option<Dialect>, faulty: Device) {
     let blind = RUNS - 2 * third;
     let unseen = runs(Kind { damage: true, ..kind }, 2 * third, blind);
     eprintln!("{control}, {faulty}: {unseen} of {blind} runs with damage ended well unseen");
-    assert!(unseen < blind as usize / 5, "{unseen}");
+    assert!(unseen < blind as usize / 10, "{unseen}");
 }
 
 #[test]

@@ -95,7 +95,7 @@ impl Lines {
             match b {
                 b'\n' => {
                     let text = std::str::from_utf8(&self.part).ok().map(str::trim);
-                    f(text.filter(|t| !self.too_long && !t.bytes().any(|b| b < 0x20)));
+                    f(text.filter(|_| !self.too_long));
                     self.part.clear();
                     self.too_long = false;
                 }
@@ -120,6 +120,8 @@ impl Reply {
             return Reply::Empty;
         }
         match dialect {
+            // Numbered dialects repeat damaged lines as they are; elsewhere such bytes are damage.
+            _ if !dialect.is_numbered() && line.bytes().any(|b| b < 0x20) => Reply::Garbled,
             Dialect::Grbl | Dialect::GrblHal => grbl(line),
             Dialect::Marlin | Dialect::Rrf => marlin(line),
             Dialect::Plain => plain(line),

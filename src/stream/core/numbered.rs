@@ -216,7 +216,11 @@ impl Numbered {
             body.rsplit_once('*').map_or(body, |(b, _)| b).to_string()
         };
         let mut open = (self.answered + 1..self.cursor).filter_map(|n| self.sent(n));
-        match open.find(|s| plain(&s.wire).starts_with(text) && !text.is_empty()) {
+        let ours = |line: String| {
+            // A lost line end makes two lines one, and the sum agrees once in 256.
+            !text.is_empty() && (line.starts_with(text) || text.starts_with(&format!("{line}*")))
+        };
+        match open.find(|s| ours(plain(&s.wire))) {
             Some(s) => {
                 let text = format!("unknown command {text}");
                 Heard::Refused { tag: s.tag, code: None, text }

@@ -91,6 +91,8 @@ pub struct Faulty {
     stalled: Option<Option<Micros>>,
     /// What the stalled device has not read.
     unread: Vec<u8>,
+    /// It has begun anew, and says so at once: no stall hides that.
+    boots: bool,
     pub hung_up: bool,
     /// Whole lines that reached the device before the first damaged byte; None while none was.
     pub clean_lines: Option<u64>,
@@ -108,6 +110,7 @@ impl Faulty {
             line: Vec::new(),
             stalled: None,
             unread: Vec::new(),
+            boots: false,
             hung_up: false,
             clean_lines: None,
             lines: 0,
@@ -128,10 +131,11 @@ impl Faulty {
                         // What was on its way meets a boot loader.
                         self.unread.clear();
                         self.stalled = None;
+                        self.boots = true;
                         self.sim.power_cycle(now);
                     }
                     Fault::HangUp(at) if at == n => self.hung_up = true,
-                    Fault::Stall(at, takes) if at == n => {
+                    Fault::Stall(at, takes) if at == n && !self.boots => {
                         self.stalled = Some(takes.map(|t| now + t));
                     }
                     _ => {}
