@@ -25,7 +25,7 @@ impl Keys {
             before: single_keys(),
         };
         std::thread::spawn(move || {
-            for key in io::stdin().bytes().map_while(Result::ok) {
+            for key in io::stdin().lock().bytes().map_while(Result::ok) {
                 if let Some(command) = of_key(key) {
                     remote.send(command);
                 }

@@ -201,7 +201,7 @@ impl Modal {
             210 => self.inches = false,
             430 => self.length = h.and_then(tenths).map(|t| t / 10).or(self.tool),
             490 => self.length = None,
-            540..=599 if code % 10 == 0 => self.system = code / 10,
+            540..=599 if code.is_multiple_of(10) => self.system = code / 10,
             900 => self.relative = false,
             910 => self.relative = true,
             930 => self.inverse_time = true,

@@ -10,6 +10,7 @@ mod hear;
 mod link;
 mod numbered;
 mod stop;
+mod watch;
 
 pub use event::{Action, Command, Device, EndPoint, Event, Limits, Micros, Note, SECOND, Setup};
 
@@ -63,7 +64,7 @@ enum Phase {
     Leaving {
         until: Micros,
     },
-    Stopping(Stop),
+    Stopping(Box<Stop>),
     Over,
 }
 
@@ -98,15 +99,6 @@ const IDLE_REPORTS: u8 = 2;
 
 /// How often the build information is asked for: a damaged figure is then seen as the larger.
 const ASKS: u8 = 2;
-
-/// Seconds a controller may rest with a line unanswered, besides its dwell.
-const REST: Micros = 3 * SECOND;
-
-/// Quiet after which a numbered line is written again.
-const LATE: Micros = 2 * SECOND;
-
-/// Homing may be silent.
-const HOMING: Micros = 120 * SECOND;
 
 impl Core {
     /// A job that begins when its ports have just been opened.
@@ -416,99 +408,6 @@ impl Core {
         }
     }
 
-    /// Whether the oldest unanswered line of the controller waits for a person.
-    fn waits_in_flight(&self) -> bool {
-        let oldest = self.peers[0].as_ref().and_then(|p| p.link.oldest());
-        matches!(oldest, Some(Tag::Line(i))
-            if self.setup.script.line(i).is_some_and(|l| l.class.waits_for_person()))
-    }
-
-    /// Time the outstanding lines may take: those unanswered, and those answered whose motions
-    /// may still lie ahead.
-    fn allowance(&self) -> Micros {
-        let from = self.confirmed.saturating_sub(self.setup.control.planner_blocks());
-        let script = &self.setup.script;
-        let seconds = script.seconds(self.next) - script.seconds(from);
-        // Acceleration and overrides stretch them.
-        (2.0 * seconds * SECOND as f64) as Micros
-    }
-
-    /// Looks for silence and lost answers.
-    fn watch(&mut self, out: &mut Vec<Action>) {
-        for device in Device::BOTH {
-            let Some(p) = &self.peers[device.index()] else { continue };
-            if p.greeting == Greeting::Banner {
-                continue;
-            }
-            let quiet = self.now - p.heard;
-            if p.dialect.is_grbl() {
-                let homing = matches!(p.link.oldest(), Some(Tag::Line(i))
-                    if self.setup.script.text(i) == "$H");
-                let most = self.setup.limits.silence + if homing { HOMING } else { 0 };
-                if quiet >= most {
-                    return self.fail(silent(device, quiet), out);
-                }
-                if device == Device::Control && self.unanswered_at_rest() {
-                    return self.fail(Ending::Unanswered { device }, out);
-                }
-                continue;
-            }
-            let oldest = p.link.oldest();
-            if device == Device::Control && self.waits_in_flight() && !self.waits {
-                self.waits = true;
-                let number = oldest.map_or(0, |t| self.number(t));
-                out.push(Action::Note(Note::Waits { number, why: "the program pauses" }));
-            }
-            let waiting = !p.link.is_idle() || self.drain_unanswered(device);
-            let pauses = self.waits_in_flight() && !self.told_to_go_on;
-            if !waiting || self.held_by_person || pauses {
-                continue;
-            }
-            let since = quiet.min(self.now - p.wrote);
-            let allowance = if device == Device::Control { self.allowance() } else { 0 };
-            if quiet >= self.setup.limits.answer + allowance
-                && self.now - p.heard.max(p.wrote) >= LATE
-            {
-                return self.fail(silent(device, quiet), out);
-            }
-            if since >= LATE + allowance && p.dialect.is_numbered() {
-                self.late(device, out);
-            }
-        }
-    }
-
-    fn drain_unanswered(&self, device: Device) -> bool {
-        device == Device::Control && self.drain == Drain::Asked
-    }
-
-    /// A numbered device owes an answer: writes again what it may not have got.
-    fn late(&mut self, device: Device, out: &mut Vec<Action>) {
-        let now = self.now;
-        let Some(p) = self.peer(device) else { return };
-        p.wrote = now;
-        if p.link.is_idle() {
-            // Everything is answered but the position, which was damaged on its way.
-            self.write(device, Tag::Drain { last: true }, "M114", out);
-            return;
-        }
-        let mut again = Vec::new();
-        let heard = p.link.late(&mut again);
-        if !again.is_empty() {
-            out.push(Action::Write(device, again));
-        }
-        self.take(device, heard, out);
-    }
-
-    /// Whether the controller rests although lines are unanswered: their answers were lost.
-    fn unanswered_at_rest(&self) -> bool {
-        let Some(since) = self.resting else { return false };
-        let script = &self.setup.script;
-        let lines = script.lines();
-        let dwell: f32 =
-            lines[self.confirmed.min(self.next)..self.next].iter().map(|l| l.dwell_s).sum();
-        self.now - since >= REST + (f64::from(dwell) * SECOND as f64) as Micros
-    }
-
     /// The file's line of a tag; 0 for lines of the sender's own.
     fn number(&self, tag: Tag) -> u32 {
         match tag {
@@ -524,7 +423,7 @@ impl Core {
             Tag::Clear => "".into(),
             Tag::Ask => "$I".into(),
             Tag::Check => "$C".into(),
-            Tag::Drain { .. } => self.setup.control.drain().join(" ").into(),
+            Tag::Drain { .. } => self.setup.control.drain().join(" "),
         }
     }
 
@@ -574,7 +473,3 @@ impl Core {
 /// How far from its end a program's machine may rest, mm or degrees: a step and the last digit of
 /// a report. Smaller, and rounding counts as a fault; larger, and more damage goes unseen.
 const END_TOLERANCE: f64 = 0.02;
-
-fn silent(device: Device, quiet: Micros) -> Ending {
-    Ending::Silent { device, seconds: quiet as f64 / SECOND as f64 }
-}

@@ -106,7 +106,7 @@ impl Core {
             }
             Brake::Nothing => (Wait::Off(None), self.now),
         };
-        self.phase = Phase::Stopping(Stop {
+        self.phase = Phase::Stopping(Box::new(Stop {
             ending,
             wait,
             until,
@@ -116,7 +116,7 @@ impl Core {
             off: VecDeque::new(),
             not_off: Vec::new(),
             back: false,
-        });
+        }));
         self.polled = 0;
         if brake == Brake::Nothing {
             self.begin_off(out);

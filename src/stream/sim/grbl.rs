@@ -465,7 +465,7 @@ impl Grbl {
         let rx = self.setup.dialect.receive_bytes() - self.ring.len();
         text +=
             &format!("|Bf:{},{rx}|FS:{:.0},0", self.motion.free(), self.modal.feed.unwrap_or(0.0));
-        if self.asked % OFFSET_EVERY == 0 {
+        if self.asked.is_multiple_of(OFFSET_EVERY) {
             text += &format!("|WCO:{}", vec!["0.000"; axes].join(","));
         }
         self.asked += 1;
