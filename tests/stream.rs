@@ -198,6 +198,10 @@ fn an_interrupted_job_stops_in_order_and_resume_finishes_the_same_part() {
     assert_eq!(code, 1);
     assert!(stderr.contains("--yes") && stderr.contains("G53 G0 Z750"), "{stderr}");
 
+    // A job that cannot begin does not hide the one that was stopped.
+    let nowhere = hmplan(&file, Path::new("/dev/no-such-port"), &more);
+    assert_eq!(finished(nowhere).0, 3);
+
     let child = hmplan(&file, &control.path, &[&more[..], &["--resume", "--yes"]].concat());
     let (code, stdout, stderr) = finished(child);
     assert_eq!(code, 0, "{stdout}{stderr}");

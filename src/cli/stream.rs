@@ -60,7 +60,7 @@ pub fn run(args: &StreamArgs, output: &OutputArgs) -> Result<Exit, Failure> {
     } else {
         let name = file.display().to_string();
         let names = [cleared.sha256(), &name, control.name()];
-        let begun = Journal::begin(&journal_path, script.clone(), from, names);
+        let begun = Journal::open(&journal_path, script.clone(), from, names);
         Some(begun.map_err(|e| Failure::writing(&journal_path, &e))?)
     };
     let setup = Setup {

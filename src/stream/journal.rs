@@ -63,6 +63,8 @@ struct Timed {
 /// A journal being written.
 pub struct Journal {
     file: File,
+    /// What is written when the job begins.
+    begin: Option<Entry>,
     script: Arc<Script>,
     /// First line of the file this job runs.
     from: u32,
@@ -74,24 +76,29 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens a journal to append to, and begins a job in it.
+    /// Opens a journal to append to. The job begins in it with its first line, so that one which
+    /// never came that far does not hide the job before.
     ///
     /// # Errors
-    /// The file cannot be opened or written.
-    pub fn begin(
+    /// The file cannot be opened for writing.
+    pub fn open(
         path: &Path,
         script: Arc<Script>,
         from: u32,
-        [sha256, name, dialect]: [&str; 3],
+        [sha256, file, dialect]: [&str; 3],
     ) -> io::Result<Journal> {
-        let file = OpenOptions::new().create(true).append(true).open(path)?;
         let lines = script.len();
-        let counts = Counts::default();
-        let mut journal =
-            Journal { file, script, from, counts, synced: 0, dirty: false, failed: None };
-        let [sha256, file, dialect] = [sha256, name, dialect].map(String::from);
-        journal.append(0, Entry::Begin { sha256, file, dialect, from, lines })?;
-        Ok(journal)
+        let [sha256, name, dialect] = [sha256, file, dialect].map(String::from);
+        Ok(Journal {
+            file: OpenOptions::new().create(true).append(true).open(path)?,
+            begin: Some(Entry::Begin { sha256, file: name, dialect, from, lines }),
+            script,
+            from,
+            counts: Counts::default(),
+            synced: 0,
+            dirty: false,
+            failed: None,
+        })
     }
 
     fn append(&mut self, at: Micros, entry: Entry) -> io::Result<()> {
@@ -119,6 +126,9 @@ impl Journal {
 
     /// The end of the job.
     pub fn end(&mut self, at: Micros, outcome: &Outcome) {
+        if self.begin.is_some() {
+            return;
+        }
         let (machine, work) = match &outcome.position {
             Position::Known { machine, work } => (machine.clone(), work.clone()),
             Position::Unknown => (None, None),
@@ -137,11 +147,18 @@ impl Journal {
 
 impl Observer for Journal {
     fn note(&mut self, at: Micros, note: &Note, _: &Core) {
+        if self.begin.is_some() && *note != Note::Began {
+            return;
+        }
         match note {
             Note::Written(n) => self.counts.written = self.line(*n),
             Note::Confirmed(n) => self.counts.confirmed = self.line(*n),
             Note::Settled(n) => self.counts.settled = self.line(*n),
-            Note::Began => self.record(at, Entry::Event { what: "began".into() }),
+            Note::Began => {
+                if let Some(begin) = self.begin.take() {
+                    self.record(at, begin);
+                }
+            }
             Note::Waits { number, why } => {
                 let what = format!("waits at line {number}: {why}");
                 self.record(at, Entry::Event { what });
