@@ -2,7 +2,7 @@
 //!
 //! A job goes through greeting (what are you, are you at rest), running, finishing (everything
 //! answered, every motion over) and, when anything goes wrong or a person says so, stopping
-//! ([`stop`]). Each device has a [`link::Link`] that knows which lines are unanswered. Nothing
+//! (`stop`). Each device has a `Link` that knows which lines are unanswered. Nothing
 //! here reads a clock or does I/O, so that a fault takes microseconds to play through.
 
 mod event;
