@@ -6,7 +6,7 @@
 //! (a test reads the sources and fails when an import points the other way):
 //!
 //! ```text
-//! mesh → voxel → region → job ─planner→ plan ─verify→ verified plan → toolpath → program
+//! mesh → voxel → region → job ─planner→ plan ─verify→ verified plan → toolpath → program → stream
 //! ```
 //!
 //! Lengths are millimetres, angles radians unless a name ends in `_deg`; frames are right-handed,
@@ -24,4 +24,5 @@ pub mod planner;
 pub mod verify;
 pub mod toolpath;
 pub mod gcode;
+pub mod stream;
 pub mod report;

@@ -180,10 +180,60 @@ pub struct AnalyzeArgs {
 }
 
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Keys while it runs: h hold, r resume, + and - feed override, 0 feed back to \
+                        100 %, q stop (as Ctrl-C: hold, then reset; again resets at once). Without \
+                        a terminal the words hold, resume and stop are read from standard input."
+)]
 pub struct StreamArgs {
-    pub file: PathBuf,
+    /// The program to send
+    #[arg(required_unless_present = "list_ports")]
+    pub file: Option<PathBuf>,
+    /// The controller's port, or sim:DIALECT for a simulated one
+    #[arg(long, required_unless_present = "list_ports")]
+    pub port: Option<String>,
+    /// The extruder's own port, where the machine has it on a second one
+    #[arg(long, value_name = "PORT")]
+    pub extruder_port: Option<String>,
+    /// How the controller talks: grbl, grblhal, marlin, rrf or plain [default: the machine's]
     #[arg(long)]
-    pub port: String,
+    pub dialect: Option<String>,
+    /// Machine profile: a name or a TOML file [default: the plan's, else generic-5axis]
+    #[arg(long, value_name = "NAME|FILE")]
+    pub machine: Option<String>,
+    /// Speed of both lines, bits per second
+    #[arg(long, default_value_t = 115_200, value_name = "BAUD")]
+    pub baud: u32,
+    /// Send a program that no verified plan vouches for
+    #[arg(long)]
+    pub unchecked: bool,
+    /// Let the controller read the program without moving
+    #[arg(long, conflicts_with_all = ["dry_run", "resume"])]
+    pub check: bool,
+    /// Run in the air: Z raised, no extrusion
+    #[arg(long, conflicts_with = "resume")]
+    pub dry_run: bool,
+    /// How far a dry run is raised, mm
+    #[arg(long, default_value_t = 50.0, value_name = "MM", value_parser = positive)]
+    pub raise: f64,
+    /// Go on with the job that the journal says was stopped
+    #[arg(long)]
+    pub resume: bool,
+    /// Go on at this line of the file
+    #[arg(long, value_name = "LINE", requires = "resume")]
+    pub from_line: Option<u32>,
+    /// The machine is homed, its offsets are as before, spindle and extruder are off
+    #[arg(long, requires = "resume")]
+    pub position_known: bool,
+    /// Go on without asking
+    #[arg(long)]
+    pub yes: bool,
+    /// Where the journal is [default: FILE.journal]
+    #[arg(long, value_name = "PATH")]
+    pub journal: Option<PathBuf>,
+    /// Show the serial ports there are
+    #[arg(long)]
+    pub list_ports: bool,
 }
 
 #[derive(Debug, Subcommand)]

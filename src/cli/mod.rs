@@ -8,8 +8,11 @@ mod inputs;
 mod output;
 mod pipeline;
 mod plan;
+mod keys;
 mod profiles;
 mod progress;
+mod stream;
+mod stream_view;
 mod summary;
 mod verify;
 
@@ -55,9 +58,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
             args.tool,
             args.direction.map_or(String::new(), |d| format!(" along {d}"))
         ))),
-        Command::Stream(args) => {
-            Err(not_yet(&format!("stream ({} to {})", args.file.display(), args.port)))
-        }
+        Command::Stream(args) => stream::run(&args, &cli.output),
     }
 }
 

@@ -84,7 +84,7 @@ fn report(
 }
 
 /// Reads a file whole, unless it is larger than any this program writes.
-fn read_bounded(path: &Path) -> Result<Vec<u8>, Failure> {
+pub fn read_bounded(path: &Path) -> Result<Vec<u8>, Failure> {
     let unreadable =
         |e: std::io::Error| Failure::Input(format!("{} cannot be read ({e})", path.display()));
     let file = std::fs::File::open(path).map_err(unreadable)?;

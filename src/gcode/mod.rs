@@ -27,3 +27,4 @@ pub use post::{PostError, post};
 pub use program::{Checked, Program};
 pub use report::{CheckReport, Finding, Rule, StepFigures};
 pub use sweep::{LEAST_FILLED, LEAST_SWEPT, MOST_FILLED};
+pub use words::{BadBlock, LONGEST, Word, read as read_block};

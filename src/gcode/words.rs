@@ -2,13 +2,13 @@
 
 /// One word of a block: a letter and its number, kept also in thousandths to compare codes exactly.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Word {
+pub struct Word {
     pub letter: char,
     pub value: f64,
 }
 
 /// Longest block a control takes, bytes without the line end.
-pub(super) const LONGEST: usize = 256;
+pub const LONGEST: usize = 256;
 
 /// Larger numbers mean a corrupted file: no axis, speed or feed reaches a million.
 const ABSURD: f64 = 1e6;
@@ -18,7 +18,7 @@ const MOST_DIGITS: usize = 12;
 
 /// What is wrong with a block.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub(super) enum BadBlock {
+pub enum BadBlock {
     #[error("{0} bytes, more than {LONGEST}")]
     TooLong(usize),
     #[error("byte 0x{0:02X} is not printable ASCII")]
@@ -34,7 +34,7 @@ pub(super) enum BadBlock {
 }
 
 /// The words of one line; comments in parentheses and after a semicolon are dropped.
-pub(super) fn read(line: &str) -> Result<Vec<Word>, BadBlock> {
+pub fn read(line: &str) -> Result<Vec<Word>, BadBlock> {
     if line.len() > LONGEST {
         return Err(BadBlock::TooLong(line.len()));
     }

@@ -171,6 +171,10 @@ pub struct Extruder {
     pub m_retract_on: String,
     pub m_retract_off: String,
     pub port: ExtruderPort,
+    /// How the extruder's own board talks: plain, marlin, rrf, grbl or grblhal; plain when not
+    /// said. Read only with a second port.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dialect: Option<String>,
     /// What leaves the nozzle while extrusion is on, mm³/s.
     pub volumetric_mm3_s: f64,
     pub filament_mm: f64,
@@ -189,6 +193,7 @@ impl Default for Extruder {
             m_retract_on: "M74".into(),
             m_retract_off: "M75".into(),
             port: ExtruderPort::Same,
+            dialect: None,
             volumetric_mm3_s: 2.0,
             filament_mm: 1.75,
             prime_s: 0.5,

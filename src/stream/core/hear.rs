@@ -1,0 +1,332 @@
+//! What replies do to the job.
+
+use super::link::{Heard, Link, Tag};
+use super::{ASKS, Core, Drain, Greeting, IDLE_REPORTS, Phase, stop};
+use super::{Action, Device, Note};
+use crate::stream::outcome::Ending;
+use crate::stream::reply::Lines;
+use crate::stream::{Dialect, Reply, State, Status};
+
+impl Core {
+    /// Bytes from a device.
+    pub(super) fn receive(&mut self, device: Device, bytes: &[u8], out: &mut Vec<Action>) {
+        let now = self.now;
+        let Some(p) = self.peer(device) else { return };
+        p.heard = now;
+        let dialect = p.dialect;
+        let mut lines: Lines = std::mem::take(&mut p.lines);
+        let mut replies = Vec::new();
+        lines.push(bytes, |line| replies.push(Reply::read(dialect, line)));
+        if let Some(p) = self.peer(device) {
+            p.lines = lines;
+        }
+        for reply in replies {
+            self.hear(device, reply, out);
+        }
+    }
+
+    fn hear(&mut self, device: Device, reply: Reply, out: &mut Vec<Action>) {
+        match (&self.phase, &reply) {
+            (Phase::Over, _) => return,
+            (Phase::Stopping(_), _) => return self.hear_stopping(device, &reply, out),
+            (Phase::Leaving { .. }, Reply::Banner(_)) => return self.end(Ending::Done, out),
+            (Phase::Leaving { .. }, _) => return,
+            _ => {}
+        }
+        let greeting = self.peer(device).map(|p| p.greeting);
+        if greeting == Some(Greeting::Banner) {
+            // A boot loader's noise and what is left of earlier talk count for nothing.
+            if let Reply::Banner(text) = reply {
+                self.banner_at_start(device, &text, out);
+            }
+            return;
+        }
+        match &reply {
+            Reply::Banner(text) if greeting == Some(Greeting::Ready) => {
+                let banner = text.clone();
+                return self.fail(Ending::Reset { device, banner }, out);
+            }
+            // The device was slower than the wait for it.
+            Reply::Banner(text) => return self.banner_at_start(device, text, out),
+            Reply::Alarm(code) => {
+                let what = self.alarm(device, *code);
+                return self.fail(Ending::Alarm { device, what }, out);
+            }
+            Reply::Fatal(text) => {
+                return self.fail(Ending::Halted { device, what: text.clone() }, out);
+            }
+            Reply::Status(status) => return self.status(status, out),
+            Reply::Receive(bytes) => {
+                let dialect = self.setup.control;
+                if let Some(p) = self.peer(device) {
+                    p.link.receive_buffer(dialect, *bytes);
+                }
+            }
+            Reply::Paused if !self.waits => {
+                self.waits = true;
+                let oldest = self.peer(device).and_then(|p| p.link.oldest());
+                let number = oldest.map_or(0, |t| self.number(t));
+                out.push(Action::Note(Note::Waits { number, why: "the program pauses" }));
+            }
+            Reply::Position(at) => self.position(device, at.clone(), out),
+            Reply::Info(text) => {
+                out.push(Action::Note(Note::Said { device, text: text.clone() }));
+            }
+            _ => {}
+        }
+        self.resting = None;
+        let mut again = Vec::new();
+        let Some(p) = self.peer(device) else { return };
+        let heard = p.link.hear(&reply, &mut again);
+        if !again.is_empty() {
+            let now = self.now;
+            if let Some(p) = self.peer(device) {
+                p.wrote = now;
+            }
+            out.push(Action::Write(device, again));
+        }
+        self.take(device, heard, out);
+    }
+
+    fn banner_at_start(&mut self, device: Device, text: &str, out: &mut Vec<Action>) {
+        let Some(p) = self.peer(device) else { return };
+        let hal = text.to_ascii_lowercase().contains("grblhal");
+        let other = match p.dialect {
+            Dialect::Grbl if hal => Some("grblhal"),
+            Dialect::GrblHal if !hal => Some("grbl"),
+            _ => None,
+        };
+        if let Some(other) = other {
+            let what = format!("it says '{text}'; use --dialect {other}");
+            return self.fail(Ending::NotReady { device, what }, out);
+        }
+        self.begin_talk(device, out);
+    }
+
+    pub(super) fn alarm(&self, device: Device, code: Option<u32>) -> String {
+        let dialect = self.peers[device.index()].as_ref().map_or(self.setup.control, |p| p.dialect);
+        match code {
+            Some(c) => {
+                let meaning = dialect.alarm_meaning(c).unwrap_or("not in the table");
+                format!("{c}, {meaning}")
+            }
+            None => "its number could not be read".into(),
+        }
+    }
+
+    /// What an answer did to the lines of a device.
+    pub(super) fn take(&mut self, device: Device, heard: Heard, out: &mut Vec<Action>) {
+        match heard {
+            Heard::Nothing => {}
+            Heard::Answered(tag) => self.answered(device, tag, out),
+            Heard::Again(tag) => {
+                // Lines counted as answered by an ok that was another's.
+                if let Tag::Line(i) = tag {
+                    self.confirmed = self.confirmed.min(i);
+                }
+                out.push(Action::Note(Note::Again { number: self.number(tag) }));
+            }
+            Heard::GaveUp(tag) => {
+                let number = self.number(tag);
+                self.fail(Ending::GaveUp { device, number }, out);
+            }
+            Heard::Garbled(what) => self.fail(Ending::Garbled { device, what }, out),
+            Heard::Refused { tag: Tag::Clear, .. } => self.answered(device, Tag::Clear, out),
+            Heard::Refused { tag, code, text } => {
+                let dialect = self.peers[device.index()].as_ref().map(|p| p.dialect);
+                let meaning = code.and_then(|c| dialect?.error_meaning(c));
+                let code = meaning.map_or(text.clone(), |m| format!("{text}, {m}"));
+                let (number, line) = (self.number(tag), self.text(tag));
+                self.fail(Ending::Refused { device, number, line, code }, out);
+            }
+        }
+    }
+
+    fn answered(&mut self, device: Device, tag: Tag, out: &mut Vec<Action>) {
+        match tag {
+            Tag::Line(i) => {
+                // A named answer, or one found by asking again, stands for those before it.
+                self.confirmed = self.confirmed.max(i + 1);
+                self.told_to_go_on = false;
+                if self.waits {
+                    self.waits = false;
+                    out.push(Action::Note(Note::GoesOn));
+                }
+                out.push(Action::Note(Note::Confirmed(self.confirmed)));
+            }
+            Tag::Drain { last: true } if self.setup.control.is_grbl() => {
+                // Lines written behind it would still move.
+                if self.all_idle() {
+                    self.settle(out);
+                } else {
+                    self.drain = Drain::Dirty;
+                }
+            }
+            Tag::Clear => self.ask(device, 1, out),
+            Tag::Ask if self.setup.control.is_grbl() && device == Device::Control => {
+                let asked = match self.peer(device).map(|p| p.greeting) {
+                    Some(Greeting::Asking(n)) => n,
+                    _ => return,
+                };
+                if asked < ASKS {
+                    self.ask(device, asked + 1, out);
+                } else if self.setup.check {
+                    self.write(device, Tag::Check, "$C", out);
+                } else {
+                    self.ready(device);
+                }
+            }
+            Tag::Ask | Tag::Check => self.ready(device),
+            Tag::Drain { .. } => {}
+        }
+    }
+
+    fn ask(&mut self, device: Device, n: u8, out: &mut Vec<Action>) {
+        if let Some(p) = self.peer(device) {
+            p.greeting = Greeting::Asking(n);
+        }
+        self.write(device, Tag::Ask, "$I", out);
+    }
+
+    fn ready(&mut self, device: Device) {
+        if let Some(p) = self.peer(device) {
+            p.greeting = Greeting::Ready;
+        }
+    }
+
+    /// The answer to M114, behind M400: every motion is over.
+    fn position(&mut self, device: Device, at: Vec<f64>, out: &mut Vec<Action>) {
+        if device != Device::Control || self.drain != Drain::Asked {
+            return;
+        }
+        self.status = Some(Status {
+            state: State::Idle,
+            machine: None,
+            work: Some(at),
+            offset: None,
+            feed_speed: None,
+            overrides: None,
+            buffer: None,
+            line: None,
+        });
+        self.settle(out);
+    }
+
+    fn status(&mut self, status: &Status, out: &mut Vec<Action>) {
+        if status.offset.is_some() {
+            self.offset = status.offset.clone();
+        }
+        self.status = Some(status.clone());
+        out.push(Action::Note(Note::Status(Box::new(status.clone()))));
+        let device = Device::Control;
+        match status.state {
+            State::Alarm | State::Sleep => {
+                let what = "its status says so".to_string();
+                let ending = match self.phase {
+                    Phase::Greeting => Ending::NotReady {
+                        device,
+                        what: "it is locked by an alarm; home it, or unlock it by hand".into(),
+                    },
+                    _ => Ending::Alarm { device, what },
+                };
+                return self.fail(ending, out);
+            }
+            State::Idle | State::Check => {}
+            _ => {
+                self.resting = None;
+                if let Phase::Finishing { idle } = &mut self.phase {
+                    *idle = 0;
+                }
+            }
+        }
+        let open = self.peers[0].as_ref().is_some_and(|p| !p.link.is_idle());
+        if matches!(status.state, State::Idle | State::Check) && open {
+            self.resting = self.resting.or(Some(self.now));
+        }
+        match self.phase {
+            Phase::Greeting => self.status_at_start(status.state, out),
+            Phase::Running | Phase::Finishing { .. } => self.status_in_job(status.state, out),
+            _ => {}
+        }
+    }
+
+    fn status_at_start(&mut self, state: State, out: &mut Vec<Action>) {
+        let device = Device::Control;
+        if self.peer(device).map(|p| p.greeting) != Some(Greeting::State) {
+            return;
+        }
+        if state == State::Idle {
+            // What an earlier sender left in the line buffer must not begin our first line.
+            if let Some(p) = self.peer(device) {
+                p.greeting = Greeting::Asking(0);
+            }
+            self.write(device, Tag::Clear, "", out);
+        } else {
+            let what = format!("it is not at rest but in state {state:?}");
+            self.fail(Ending::NotReady { device, what }, out);
+        }
+    }
+
+    fn status_in_job(&mut self, state: State, out: &mut Vec<Action>) {
+        match state {
+            State::Idle | State::Check => {
+                let quiet = self.all_idle();
+                if let Phase::Finishing { idle } = &mut self.phase
+                    && quiet
+                {
+                    *idle = (*idle + 1).min(IDLE_REPORTS);
+                }
+            }
+            State::Hold(_) | State::Door | State::Tool if !self.waits => {
+                self.waits = true;
+                let oldest = self.peers[0].as_ref().and_then(|p| p.link.oldest());
+                let number = oldest.map_or(0, |t| self.number(t));
+                let why = match state {
+                    State::Door => "the safety door is open",
+                    State::Tool => "a tool change",
+                    _ if self.waits_in_flight() => "the program pauses",
+                    _ => "the machine is held",
+                };
+                out.push(Action::Note(Note::Waits { number, why }));
+            }
+            State::Run if self.waits && !self.waits_in_flight() => {
+                self.waits = false;
+                out.push(Action::Note(Note::GoesOn));
+            }
+            _ => {}
+        }
+    }
+
+    /// Replies while stopping: only what tells how far the stop is.
+    fn hear_stopping(&mut self, device: Device, reply: &Reply, out: &mut Vec<Action>) {
+        let mut ignored = Vec::new();
+        match reply {
+            Reply::Ok { .. } | Reply::Error { .. } | Reply::Resend(_) => {
+                let Some(p) = self.peer(device) else { return };
+                let heard = match &mut p.link {
+                    Link::Counted(_) => p.link.hear(reply, &mut ignored),
+                    Link::Numbered(_) => match reply {
+                        Reply::Ok { .. } => p.link.hear(reply, &mut ignored),
+                        _ => Heard::Nothing,
+                    },
+                };
+                if let Heard::Answered(Tag::Line(i)) = heard {
+                    self.confirmed = self.confirmed.max(i + 1);
+                }
+                let ok = matches!(reply, Reply::Ok { .. });
+                self.stop_answered(device, ok, out);
+            }
+            Reply::Status(s) => {
+                if s.offset.is_some() {
+                    self.offset = s.offset.clone();
+                }
+                self.status = Some((**s).clone());
+                out.push(Action::Note(Note::Status(s.clone())));
+                self.stop_status(s, out);
+            }
+            Reply::Alarm(_) => self.stop_event(device, stop::Sign::Alarm, out),
+            Reply::Banner(_) => self.stop_event(device, stop::Sign::Banner, out),
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! Ten thousand seeded fault runs a dialect.
+//!
+//! Of every run: it ends, in a defined exit code; the window is never exceeded; after an error, an
+//! alarm or a banner only stop bytes are written; what the device ran is exactly a prefix of the
+//! program as far as bytes reached it undamaged; and a run that reports success has run every
+//! line, once, in order.
+//!
+//! Numbered dialects and those that repeat what they read see every damaged byte, so there the
+//! prefix is exact whatever happens (one damaged byte a line: the exclusive or is blind to two that
+//! cancel). A device that begins anew loses what arrives while it boots; one that is reset without
+//! booting may run what was on the wire, which no sender can call back. grbl, grblHAL and the plain dialect have no checksum; a damaged line that is still a
+//! valid block cannot be told from a good one by anything in the protocol. There the prefix is
+//! asked of the lines before the first damaged byte, and a success in spite of damage is allowed
+//! but counted, and must stay rare.
+
+use super::core::{Device, SECOND};
+use super::modal::Rates;
+use super::sim::{Fault, FaultScript, FaultWay, SimSetup};
+use super::world_tests::{Person, World};
+use super::{Cleared, Dialect, Ending, Preflight, Setting, preflight};
+use crate::base::{Rng, rng};
+use crate::machine::Machine;
+use rand::RngExt as _;
+use rayon::prelude::*;
+
+const RUNS: u64 = 10_000;
+
+/// What a kind of run is made of.
+#[derive(Clone, Copy)]
+struct Kind {
+    control: Dialect,
+    extruder: Option<Dialect>,
+    /// Where the faults are.
+    faulty: Device,
+    damage: bool,
+    echo: bool,
+}
+
+fn program(rng: &mut Rng, kind: Kind) -> String {
+    let grbl = kind.control.is_grbl();
+    let head = if grbl { "G21\nG90\nG94\nG17\nG54\nF3000\n" } else { "G21\nG90\nG1 F3000\n" };
+    let mut text = String::from(head);
+    let (mut x, mut open) = (0.0f64, false);
+    if kind.extruder.is_some() {
+        text += "M70\n";
+        open = true;
+    }
+    for i in 0..rng.random_range(10..40) {
+        x = (x + rng.random_range(-8.0..9.0)).clamp(-60.0, 60.0);
+        let y = f64::from(i) / 10.0;
+        text += &match rng.random_range(0..24) {
+            0 => format!("G4 P0.{}\n", 1 + i % 9),
+            1 if grbl => "G10 L2 P2 X0 Y0 Z0\n".to_string(),
+            2 => "M0\n".into(),
+            3 => "M3 S8000\n".into(),
+            4 => "M05\n".into(),
+            5 | 6 if open => "M72\n".into(),
+            7 | 8 if open => "M73\n".into(),
+            9 if kind.control == Dialect::GrblHal => "T1 M6\n".into(),
+            10 => format!("G0 X{x:.3} Y{y:.3} Z{:.2}\n", 5.0 + y),
+            _ => format!("G1 X{x:.3} Y{y:.3}\n"),
+        };
+    }
+    if open {
+        text += "M73\nM71\n";
+    }
+    text + "G0 X0 Y0\nM30\n"
+}
+
+fn looked_at(text: &str, kind: Kind, machine: &Machine) -> Preflight {
+    let setting = Setting { machine, control: kind.control, extruder: kind.extruder };
+    preflight(&Cleared::unchecked(text.into()), &setting)
+        .unwrap_or_else(|f| panic!("{}\n{text}", f[0]))
+}
+
+fn world(rng: &mut Rng, kind: Kind, machine: &Machine) -> (World, Preflight, FaultScript) {
+    let text = program(rng, kind);
+    let p = looked_at(&text, kind, machine);
+    let sim = |dialect, rng: &mut Rng| SimSetup {
+        speed: [0.0, 1.0, 20.0][rng.random_range(0..3)],
+        echo: kind.echo,
+        ok_after_resend: rng.random_bool(0.7),
+        flushes: rng.random_bool(0.3),
+        records: true,
+        rates: Rates::of(machine),
+        ..SimSetup::new(dialect)
+    };
+    let setups = [Some(sim(kind.control, rng)), kind.extruder.map(|d| sim(d, rng))];
+    let bytes = if kind.faulty == Device::Control { text.len() as u64 * 2 } else { 60 };
+    let mut scripts = [FaultScript::default(), FaultScript::default()];
+    scripts[kind.faulty.index()] = if kind.control.is_numbered() && kind.damage {
+        let mut s = FaultScript::damage(rng, 0.03, 60, 20);
+        s.faults.extend(FaultScript::random(rng, 1, bytes, false).faults);
+        s
+    } else {
+        FaultScript::random(rng, 3, bytes, kind.damage)
+    };
+    let faults = scripts[kind.faulty.index()].clone();
+    (World::new(&p, setups, scripts, false), p, faults)
+}
+
+/// Fails a run with what happened.
+macro_rules! must {
+    ($what:expr, $told:expr, $($text:tt)*) => {
+        if !$what {
+            return Err(format!("{}\n  {}", format!($($text)*), $told()));
+        }
+    };
+}
+
+/// One run; whether it reported success in spite of damage that no one could see.
+fn run(seed: u64, kind: Kind, machine: &Machine) -> Result<bool, String> {
+    let mut rng = rng(seed, kind.control as u64);
+    let (mut w, p, faults) = world(&mut rng, kind, machine);
+    let person = Person {
+        stops: rng.random_bool(0.15).then(|| rng.random_range(0..30 * SECOND)),
+        again: rng.random_bool(0.3).then(|| rng.random_range(0..SECOND)),
+    };
+    let Some(outcome) = w.run(person) else {
+        let last: Vec<_> = w.notes.iter().rev().take(4).collect();
+        return Err(format!("seed {seed}, {}, {faults:?} does not end: {last:?}", kind.control));
+    };
+    let told = || format!("seed {seed}, {}, {faults:?}, {outcome:?}", kind.control);
+    let code = outcome.ending.exit_code();
+    must!(matches!(code, 0 | 3 | 130), told, "exit code {code}");
+    must!((code == 130) == (outcome.ending == Ending::Stopped), told, "exit code {code}");
+    must!(code != 130 || person.stops.is_some() || w.gave_up, told, "nobody stopped it");
+    let all = p.script.len();
+    must!(outcome.confirmed <= all && outcome.settled <= all, told, "counts");
+    if kind.control.is_grbl() {
+        let window = kind.control.receive_bytes() + usize::from(kind.control == Dialect::GrblHal);
+        must!(w.most_open <= window - 8, told, "{} bytes outstanding", w.most_open);
+    }
+    // The extruder's codes go to its own board; spindle and coolant ended with the reset.
+    let stops: &[&str] =
+        if kind.control.is_numbered() { &["M410", "M112", "M5", "M107"] } else { &[] };
+    for line in w.after_fall.iter().flat_map(|t| t.lines()) {
+        must!(stops.contains(&line), told, "'{line}' after a fall");
+    }
+    prefix(&w, &p, kind, code, &told)
+}
+
+/// What ran against the program; whether success was reported in spite of unseen damage.
+fn prefix(
+    w: &World,
+    p: &Preflight,
+    kind: Kind,
+    code: u8,
+    told: &dyn Fn() -> String,
+) -> Result<bool, String> {
+    let mut unseen = false;
+    for device in Device::BOTH {
+        let Some(d) = &w.devices[device.index()] else { continue };
+        let of_device = |i: &usize| {
+            let extrudes = matches!(p.script.lines()[*i].class, super::Class::Extruder(_));
+            extrudes == (device == Device::Extruder)
+        };
+        let want: Vec<String> =
+            (0..p.script.len()).filter(of_device).map(|i| squeezed(p.script.text(i))).collect();
+        let ran: Vec<String> = w.ran(device).iter().map(|l| squeezed(l)).collect();
+        let off = ["M73", "M74", "M71"];
+        let numbered = kind.control.is_numbered() && device == Device::Control;
+        // Lines that reached the device whole, the sender's own among them.
+        let clean = match d.clean_lines {
+            Some(n) if !numbered => (n as usize).saturating_sub(w.own_lines(device)),
+            _ => usize::MAX,
+        };
+        let n = ran.len().min(clean);
+        let exact = n <= want.len() && ran[..n] == want[..n];
+        // The codes that switch the module off come behind what ran of the program.
+        let then_off = device == Device::Extruder && code != 0 && {
+            let k = ran.iter().zip(&want).take_while(|(a, b)| a == b).count();
+            (0..=k).any(|k| {
+                let mut rest = off.iter();
+                ran[k..n.max(k)].iter().all(|l| rest.any(|o| o == l))
+            })
+        };
+        must!(exact || then_off, told, "{device} ran {:?} of {want:?}", &ran[..n]);
+        if code == 0 && ran != want {
+            let blind = d.clean_lines.is_some() && !numbered && !kind.echo;
+            must!(blind, told, "success, but {device} ran {ran:?} of {want:?}");
+            unseen = true;
+        }
+    }
+    Ok(unseen)
+}
+
+/// Without spaces, which controllers drop: a lost or doubled one changes nothing.
+fn squeezed(line: &str) -> String {
+    line.split_whitespace().collect()
+}
+
+/// All runs of a kind; the number of unseen damages.
+fn runs(kind: Kind, from: u64, n: u64) -> usize {
+    let machine = Machine::builtin("generic-5axis").unwrap();
+    let results: Vec<Result<bool, String>> =
+        (from..from + n).into_par_iter().map(|seed| run(seed, kind, &machine)).collect();
+    let failed: Vec<&String> = results.iter().filter_map(|r| r.as_ref().err()).collect();
+    let first: Vec<&str> = failed.iter().take(3).map(|s| s.as_str()).collect();
+    assert!(failed.is_empty(), "{} of {n} runs failed:\n{}", failed.len(), first.join("\n"));
+    results.iter().filter(|r| **r == Ok(true)).count()
+}
+
+/// A third of the runs leave bytes as they are; in a third they are damaged and the device repeats
+/// what it reads; in a third they are damaged and it does not.
+fn dialect(control: Dialect, extruder: Option<Dialect>, faulty: Device) {
+    let kind = Kind { control, extruder, faulty, damage: false, echo: false };
+    let third = RUNS / 3;
+    assert_eq!(runs(kind, 0, third), 0);
+    if control.is_numbered() {
+        assert_eq!(runs(Kind { damage: true, ..kind }, third, RUNS - third), 0);
+        return;
+    }
+    assert_eq!(runs(Kind { damage: true, echo: true, ..kind }, third, third), 0);
+    let blind = RUNS - 2 * third;
+    let unseen = runs(Kind { damage: true, ..kind }, 2 * third, blind);
+    eprintln!("{control}, {faulty}: {unseen} of {blind} runs with damage ended well unseen");
+    assert!(unseen < blind as usize / 10, "{unseen}");
+}
+
+#[test]
+fn grbl_keeps_its_promises() {
+    dialect(Dialect::Grbl, None, Device::Control);
+}
+
+#[test]
+fn grblhal_keeps_its_promises() {
+    dialect(Dialect::GrblHal, Some(Dialect::Plain), Device::Control);
+}
+
+#[test]
+fn marlin_keeps_its_promises() {
+    dialect(Dialect::Marlin, None, Device::Control);
+}
+
+#[test]
+fn rrf_keeps_its_promises() {
+    dialect(Dialect::Rrf, None, Device::Control);
+}
+
+#[test]
+fn plain_keeps_its_promises() {
+    dialect(Dialect::GrblHal, Some(Dialect::Plain), Device::Extruder);
+}
+
+#[test]
+fn five_per_cent_damaged_lines_run_once_each_on_marlin() {
+    let machine = Machine::builtin("generic-5axis").unwrap();
+    let kind = Kind {
+        control: Dialect::Marlin,
+        extruder: None,
+        faulty: Device::Control,
+        damage: true,
+        echo: false,
+    };
+    let text: String = (0..2000).map(|i| format!("G1 X{}.{} F3000\n", i % 50, i % 10)).collect();
+    let p = looked_at(&format!("{text}M30\n"), kind, &machine);
+    for (seed, ok_after_resend, flushes) in [(1, true, false), (2, false, false), (3, true, true)] {
+        let script = FaultScript::damage(&mut rng(seed, 5), 0.05, 3000, 24);
+        let damaged = script.faults.len();
+        assert!(script.faults.iter().all(|f| !matches!(f, Fault::Drop(FaultWay::FromDevice, _))));
+        let sim =
+            SimSetup { ok_after_resend, flushes, records: true, ..SimSetup::new(kind.control) };
+        let mut w = World::new(&p, [Some(sim), None], [script, FaultScript::default()], false);
+        let outcome = w.run(Person::default()).unwrap();
+        assert_eq!(outcome.ending, Ending::Done, "{outcome:?}");
+        let want: Vec<&str> = (0..p.script.len()).map(|i| p.script.text(i)).collect();
+        assert_eq!(w.ran(Device::Control), want, "of {damaged} damaged lines");
+        assert_eq!(outcome.confirmed, 2001);
+    }
+}
