@@ -12,12 +12,23 @@
 //! sections (holders, heads) count up to 12 % wider than they are.
 
 mod additive;
+mod collateral;
+mod columns;
 mod depth;
 mod filter;
+mod regions;
 mod scene;
 mod subtractive;
+mod support;
+#[cfg(test)]
+mod tests;
+mod voxel_tool;
 
 pub use additive::{CarrierTable, supported};
+pub use collateral::{Collateral, collateral};
 pub use depth::{DepthMap, cutter_map, cutter_maps, nozzle_map};
+pub use regions::{Engine, EngineChoice, accessible, choose, inaccessible, obstacle};
 pub use scene::Scene;
 pub use subtractive::{Cut, over_cut, reachable};
+pub use support::{Overhang, grounded, self_supported, supported_access, supporting};
+pub use voxel_tool::{NoVoxelTool, VoxelTool};
