@@ -251,5 +251,6 @@ fn the_choice_follows_the_tool() {
     let within = Window { lo: [-60; 3], hi: [61; 3] };
     let tilted = Direction::new(crate::base::DVec3::new(0.3, 0.4, 0.8)).unwrap();
     let tilted = VoxelTool::turned(&cutter, tilted, 0.5, 0.0, &within);
-    assert_eq!(choose(dims, &tilted).engine, Engine::Fft);
+    let chosen = choose(dims, &tilted);
+    assert_eq!(chosen.engine, Engine::Fft, "{chosen:?}");
 }

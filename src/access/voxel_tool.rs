@@ -139,6 +139,12 @@ impl VoxelTool {
         Ok(VoxelTool { body, edge, axis: None })
     }
 
+    /// The tool with its tip as edge when it has no edge of its own, as a nozzle or a cutter finer
+    /// than the grid.
+    pub fn with_tip(self) -> VoxelTool {
+        if self.edge.is_empty() { VoxelTool { edge: Element::point([0; 3]), ..self } } else { self }
+    }
+
     pub fn body(&self) -> &Element {
         &self.body
     }
@@ -271,11 +277,11 @@ mod tests {
     fn sampling_along_an_axis_gives_the_layers() {
         let tool = Tool::builtin("vasco-cutter").unwrap();
         let near = Window { lo: [-40; 3], hi: [41; 3] };
-        let layered = VoxelTool::along(&tool, Direction::Z, 1.0).unwrap();
-        let sampled = VoxelTool::turned(&tool, Direction::Z, 1.0, 0.0, &near);
+        let layered = VoxelTool::along(&tool, Direction::Z, 0.83).unwrap();
+        let sampled = VoxelTool::turned(&tool, Direction::Z, 0.83, 0.0, &near);
         assert_eq!(sampled.body(), &layered.body().clipped(&near));
         assert_eq!(sampled.edge(), &layered.edge().clipped(&near));
-        let wider = VoxelTool::turned(&tool, Direction::Z, 1.0, 0.8, &near);
+        let wider = VoxelTool::turned(&tool, Direction::Z, 0.83, 0.8, &near);
         for (z, c) in sampled.body().chords() {
             assert!((c.x..c.x + c.len).all(|x| wider.body().contains([x, c.y, z])));
         }

@@ -183,6 +183,14 @@ impl Element {
         Plane::Chords((-n..=n).map(chord).collect())
     }
 
+    /// A ∪ B of finite elements.
+    pub fn union(&self, other: &Element) -> Element {
+        let offsets = |e: &Element| -> Vec<[i64; 3]> {
+            e.chords().flat_map(|(z, c)| (c.x..c.x + c.len).map(move |x| [x, c.y, z])).collect()
+        };
+        Element::from_offsets(&[offsets(self), offsets(other)].concat())
+    }
+
     pub fn layers(&self) -> &[Layer] {
         &self.layers
     }
