@@ -43,6 +43,11 @@ impl Overhang {
         }
     }
 
+    /// Sine of the angle: a surface whose normal leans below the horizon by more hangs over.
+    pub fn sine(self) -> f64 {
+        self.tangent / (1.0 + self.tangent * self.tangent).sqrt()
+    }
+
     /// r(z): by how many voxels layer z may exceed layer z − 1. The hair keeps 45° at 1.
     fn step(&self, z: usize) -> f64 {
         let reach = |z: usize| (z as f64 * self.tangent + 1e-9).floor();
