@@ -56,27 +56,27 @@ impl Overhang {
 }
 
 /// U(P): the voxels that stand on the plate or, through material of the set, on it. The plate lies
-/// under the lowest layer along the axis.
-pub fn self_supported(set: &BitGrid, up: Axis, overhang: Overhang) -> BitGrid {
+/// under layer `plate` along the axis; what is below it does not stand.
+pub fn self_supported(set: &BitGrid, up: Axis, plate: usize, overhang: Overhang) -> BitGrid {
     let set = up.up(set);
     let nz = set.dims()[2];
     let mut out = BitGrid::new(set.dims());
-    for z in 0..nz {
+    for z in plate..nz {
         let mut layer = slice(&set, z);
-        if z > 0 {
-            layer.intersect_with(&carried(&slice(&out, z - 1), overhang.step(z)));
+        if z > plate {
+            layer.intersect_with(&carried(&slice(&out, z - 1), overhang.step(z - plate)));
         }
         put(&mut out, z, &layer);
     }
     up.down(&out)
 }
 
-/// V(P): the set and the support below it.
-pub fn supporting(set: &BitGrid, up: Axis, overhang: Overhang) -> BitGrid {
+/// V(P): the set and the support below it, down to the plate.
+pub fn supporting(set: &BitGrid, up: Axis, plate: usize, overhang: Overhang) -> BitGrid {
     let mut out = up.up(set);
-    for z in (1..out.dims()[2]).rev() {
+    for z in (plate + 1..out.dims()[2]).rev() {
         let below = slice(&out, z - 1);
-        let r = overhang.step(z);
+        let r = overhang.step(z - plate);
         let mut open = slice(&out, z);
         open.subtract(&carried(&below, r));
         if open.is_empty() {
@@ -99,10 +99,11 @@ pub fn supported_access(
     obstacle: &BitGrid,
     accessible: &BitGrid,
     up: Axis,
+    plate: usize,
     overhang: Overhang,
 ) -> BitGrid {
-    let held = supporting(obstacle, up, overhang);
-    let mut out = self_supported(&held.or(accessible), up, overhang);
+    let held = supporting(obstacle, up, plate, overhang);
+    let mut out = self_supported(&held.or(accessible), up, plate, overhang);
     out.subtract(&held);
     out
 }
@@ -157,8 +158,8 @@ mod tests {
             let p = BitGrid::from_fn(dims, |[x, y, z]| bits >> (x + 2 * (y + 2 * z)) & 1 == 1);
             let u = BitGrid::from_fn(dims, |[x, y, z]| (0..=z).all(|k| p.get([x, y, k])));
             let v = BitGrid::from_fn(dims, |[x, y, z]| (z..3).any(|k| p.get([x, y, k])));
-            assert_eq!(self_supported(&p, z(), Overhang::NONE), u);
-            assert_eq!(supporting(&p, z(), Overhang::NONE), v);
+            assert_eq!(self_supported(&p, z(), 0, Overhang::NONE), u);
+            assert_eq!(supporting(&p, z(), 0, Overhang::NONE), v);
         }
     }
 
@@ -175,11 +176,19 @@ mod tests {
             };
             let t = deg.to_radians().tan();
             // A pyramid of whole steps along x and y.
-            assert_eq!(self_supported(&cone(t), z(), overhang), cone(t), "{deg}");
+            assert_eq!(self_supported(&cone(t), z(), 0, overhang), cone(t), "{deg}");
             let wide = cone(t + 0.4);
-            assert!(self_supported(&wide, z(), overhang).count() < wide.count(), "{deg}");
+            assert!(self_supported(&wide, z(), 0, overhang).count() < wide.count(), "{deg}");
         }
         assert!(Overhang::degrees(61.0).is_err() && Overhang::degrees(f64::NAN).is_err());
+    }
+
+    #[test]
+    fn a_part_stands_on_a_plate_above_the_grids_floor() {
+        let p = BitGrid::from_fn([4, 4, 6], |[x, _, z]| z >= 2 && (z >= 4 || x < 2));
+        let u = self_supported(&p, z(), 2, Overhang::NONE);
+        assert_eq!(u, BitGrid::from_fn([4, 4, 6], |[x, _, z]| z >= 2 && x < 2));
+        assert_eq!(supporting(&p, z(), 2, Overhang::NONE).count(), 4 * 4 * 4);
     }
 
     proptest! {
@@ -199,19 +208,19 @@ mod tests {
                 *c = (state >> 60) as u8 <= share;
             }
             let p = BitGrid::from_fn([12, 11, 10], |[x, y, z]| cells[x + 12 * (y + 11 * z)]);
-            let (u, v) = (self_supported(&p, up, overhang), supporting(&p, up, overhang));
+            let (u, v) = (self_supported(&p, up, 0, overhang), supporting(&p, up, 0, overhang));
             prop_assert!(u.is_subset_of(&p) && p.is_subset_of(&v));
-            prop_assert_eq!(&self_supported(&u, up, overhang), &u);
-            prop_assert_eq!(&self_supported(&v, up, overhang), &v);
-            prop_assert!(v.is_subset_of(&supporting(&p, up, Overhang::NONE)));
-            prop_assert!(self_supported(&p, up, Overhang::NONE).is_subset_of(&u));
+            prop_assert_eq!(&self_supported(&u, up, 0, overhang), &u);
+            prop_assert_eq!(&self_supported(&v, up, 0, overhang), &v);
+            prop_assert!(v.is_subset_of(&supporting(&p, up, 0, Overhang::NONE)));
+            prop_assert!(self_supported(&p, up, 0, Overhang::NONE).is_subset_of(&u));
             // A*: within A, and standing on V(O).
             let o = BitGrid::from_fn(p.dims(), |[x, y, z]| (x + y * 5 + z * 3) % 11 == 0);
             let a = p.minus(&o);
-            let star = supported_access(&o, &a, up, overhang);
+            let star = supported_access(&o, &a, up, 0, overhang);
             prop_assert!(star.is_subset_of(&a));
-            let held = supporting(&o, up, overhang);
-            let stands = self_supported(&held.or(&star), up, overhang);
+            let held = supporting(&o, up, 0, overhang);
+            let stands = self_supported(&held.or(&star), up, 0, overhang);
             prop_assert!(star.is_subset_of(&stands));
         }
     }

@@ -194,7 +194,7 @@ mod tests {
     fn pocket() -> (Frame, BitGrid) {
         let frame = Frame { pitch: 0.5, dims: [40, 36, 30], origin: DVec3::ZERO };
         let part = BitGrid::from_fn(frame.dims, |[x, y, z]| {
-            let body = (2..38).contains(&x) && (2..34).contains(&y) && (2..24).contains(&z);
+            let body = (2..38).contains(&x) && (2..34).contains(&y) && z < 24;
             let pocket = (10..24).contains(&x) && (9..25).contains(&y) && z > 7;
             body && !pocket
         });

@@ -248,7 +248,7 @@ fn the_choice_follows_the_tool() {
     let chosen = choose(dims, &t_slot);
     assert_eq!((chosen.engine, chosen.depth_ms), (Engine::Bits, None));
     // A tilted one has thousands of chords.
-    let within = Window { lo: [-60; 3], hi: [61; 3] };
+    let within = Window { lo: [-80; 3], hi: [81; 3] };
     let tilted = Direction::new(crate::base::DVec3::new(0.3, 0.4, 0.8)).unwrap();
     let tilted = VoxelTool::turned(&cutter, tilted, 0.5, 0.0, &within);
     let chosen = choose(dims, &tilted);

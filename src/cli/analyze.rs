@@ -169,8 +169,10 @@ fn analyse<'a>(
     // Parts are printed along the direction asked for, and along z where there are many.
     let build = if directions.len() == 1 { directions[0] } else { Direction::Z };
     let columns = Axis::of(build).map(|up| {
-        let stands = access::self_supported(solid, up, overhang);
-        let whole = access::supporting(solid, up, overhang);
+        // The part stands on its own lowest layer.
+        let plate = up.up(solid).extent().map_or(0, |(lo, _)| lo[2]);
+        let stands = access::self_supported(solid, up, plate, overhang);
+        let whole = access::supporting(solid, up, plate, overhang);
         (stands.count(), whole.count() - solid.count())
     });
     ctx.check()?;

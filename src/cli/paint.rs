@@ -47,9 +47,10 @@ pub struct Probes {
     of_facet: Vec<Option<u32>>,
 }
 
-/// How far from a facet its neighbours are looked for, in pitches: the surface lies within half a
-/// voxel of the faces between voxels.
-const ASIDE: [f64; 3] = [0.6, 0.9, 1.2];
+/// How far in front of a facet the space is looked at, in pitches: on through what is empty up to
+/// the surface tolerance of the default pitch, since what is unreached closer to the surface counts
+/// as skin. The surface itself lies within half a voxel of the faces between voxels.
+const ASIDE: [f64; 4] = [0.6, 0.9, 1.2, 1.5];
 
 /// Where a facet's middle lies and which way it faces; none for one without area.
 fn facet(surface: &TriMesh, t: usize) -> Option<(DVec3, DVec3)> {
@@ -63,7 +64,8 @@ pub fn probes(surface: &TriMesh, solid: &BitGrid, frame: &Frame) -> Probes {
         .map(|t| {
             let (middle, normal) = facet(surface, t)?;
             let at = |s: &f64| frame.voxel_at(middle + normal * (s * frame.pitch));
-            ASIDE.iter().filter_map(at).find(|v| !solid.get(*v))
+            let beyond = ASIDE.iter().filter_map(at).skip_while(|v| solid.get(*v));
+            beyond.take_while(|v| !solid.get(*v)).last()
         })
         .collect();
     let mut outside: Vec<[usize; 3]> = found.iter().flatten().copied().collect();
