@@ -143,9 +143,6 @@ fn a_grid_beyond_all_memory_is_refused_at_once() {
 #[test]
 fn commands_of_later_versions_say_so() {
     refused(hmplan().args(["stream", "out.gcode", "--port", "/dev/null"]), "not in version");
-    let mut analyze = hmplan();
-    analyze.args(["analyze", "part.stl", "--tool", "w2v-cutter", "--direction", "-1,0,0"]);
-    refused(&mut analyze, "not in version");
 }
 
 #[test]
