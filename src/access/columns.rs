@@ -9,6 +9,7 @@ use super::VoxelTool;
 use crate::morph::{Chord, Element, Plane, Window};
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Height of a column without an obstacle: lower than any tool is long.
 const NONE: i32 = i32::MIN / 4;
@@ -52,62 +53,78 @@ fn tops(grid: &BitGrid) -> Heights {
     Heights { lo: [0, 0], n: [nx, ny], cells }
 }
 
-/// H at the tips of a window.
+/// H at the tips of a window. Chords of one place and length share their running extremes.
 fn lowest_tips(tops: &Heights, body: &Element, tips: &Window, grid: &Window) -> Heights {
     let n = [tips.dims()[0], tips.dims()[1]];
     let link = grid.minus(tips);
     let highest = tops.cells.iter().copied().max().unwrap_or(NONE);
     let mut cells = vec![NONE; n[0] * n[1]];
-    cells.par_chunks_mut(n[0].max(1)).enumerate().for_each(|(j, row)| {
-        let v = tips.lo[1] + j as i64;
-        let mut room = Vec::new();
-        for layer in body.layers() {
-            let chords: &[Chord] = match &layer.plane {
-                Plane::Whole => {
-                    raise(row, std::iter::repeat(highest), layer.z);
-                    continue;
-                }
-                Plane::Chords(c) => c,
-            };
-            for c in chords {
-                let (x, end) = (c.x.max(link.lo[0]), (c.x + c.len).min(link.hi[0]));
-                let from = v + c.y;
-                if x >= end || !(0..tops.n[1] as i64).contains(&from) {
-                    continue;
-                }
-                let from = &tops.cells[from as usize * tops.n[0]..][..tops.n[0]];
-                running_max(from, tips.lo[0] + x, n[0], (end - x) as usize, &mut room);
-                raise(row, room.iter().copied(), layer.z);
+    let mut extremes = vec![NONE; n[0] * tops.n[1]];
+    for layer in body.layers() {
+        let chords: &[Chord] = match &layer.plane {
+            Plane::Whole => {
+                raise(&mut cells, std::iter::repeat(highest), layer.z);
+                continue;
+            }
+            Plane::Chords(c) => c,
+        };
+        let mut alike: BTreeMap<(i64, i64), Vec<i64>> = BTreeMap::new();
+        for c in chords {
+            let (x, end) = (c.x.max(link.lo[0]), (c.x + c.len).min(link.hi[0]));
+            if x < end {
+                alike.entry((x, end - x)).or_default().push(c.y);
             }
         }
-    });
+        for ((x, len), ys) in alike {
+            extremes
+                .par_chunks_mut(n[0].max(1))
+                .zip(tops.cells.par_chunks(tops.n[0].max(1)))
+                .for_each_init(Vec::new, |room, (out, from)| {
+                    running_max(from, tips.lo[0] + x, n[0], len as usize, room);
+                    out.copy_from_slice(&room[..n[0]]);
+                });
+            cells.par_chunks_mut(n[0].max(1)).enumerate().for_each(|(j, row)| {
+                let v = tips.lo[1] + j as i64;
+                for from in ys.iter().filter_map(|y| usize::try_from(v + y).ok()) {
+                    if from < tops.n[1] {
+                        let from = &extremes[from * n[0]..(from + 1) * n[0]];
+                        raise(row, from.iter().copied(), layer.z);
+                    }
+                }
+            });
+        }
+    }
     Heights { lo: [tips.lo[0], tips.lo[1]], n, cells }
 }
 
 /// row[i] = max(row[i], heights[i] − f + 1), where there is a height.
 fn raise(row: &mut [i32], heights: impl Iterator<Item = i32>, f: i64) {
-    for (r, h) in row.iter_mut().zip(heights).filter(|(_, h)| *h > NONE) {
-        *r = (*r).max((i64::from(h) - f + 1).max(i64::from(NONE) + 1) as i32);
+    // Tools are shorter than NONE is low: without a height the sum stays below every real one.
+    let by = (1 - f).clamp(i64::from(NONE) / 2, -i64::from(NONE) / 2) as i32;
+    for (r, h) in row.iter_mut().zip(heights) {
+        let raised = if h > NONE { h + by } else { NONE };
+        *r = if raised > *r { raised } else { *r };
     }
 }
 
-/// out[i] = max of cells[at + i .. at + i + length], i < n; cells outside the row are NONE.
+/// out[i] = max of cells[at + i .. at + i + length], i < n; cells outside the row are NONE. The
+/// rest of `out` is scratch.
 fn running_max(cells: &[i32], at: i64, n: usize, length: usize, out: &mut Vec<i32>) {
     out.clear();
-    out.extend(
-        (0..(n + length - 1) as i64).map(|i| {
-            usize::try_from(at + i).ok().and_then(|c| cells.get(c)).copied().unwrap_or(NONE)
-        }),
-    );
+    out.resize(n + length - 1, NONE);
+    let first = (-at).clamp(0, out.len() as i64);
+    let last = (cells.len() as i64 - at).clamp(first, out.len() as i64);
+    out[first as usize..last as usize]
+        .copy_from_slice(&cells[(at + first) as usize..(at + last) as usize]);
     let mut covered = 1;
     while covered < length {
         let step = covered.min(length - covered);
         for i in 0..out.len() - step {
-            out[i] = out[i].max(out[i + step]);
+            let ahead = out[i + step];
+            out[i] = if ahead > out[i] { ahead } else { out[i] };
         }
         covered += step;
     }
-    out.truncate(n);
 }
 
 /// G over the grid's columns.

@@ -82,7 +82,8 @@ impl<'a> View<'a> {
             return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
         };
         let mut under = vec![false; lattice.nu * lattice.nv];
-        for v in wanted.iter_ones() {
+        let shadow = shadow(wanted, self.plane.d);
+        for v in shadow.as_ref().unwrap_or(wanted).iter_ones() {
             if let Some(c) = lattice.cell(self.plane.across(self.scene.frame.center(v))) {
                 under[c] = true;
             }
@@ -169,6 +170,32 @@ impl<'a> View<'a> {
         }
         lowest
     }
+}
+
+/// One voxel for each column of a set along a grid axis: columns share their cell. None along any
+/// other direction.
+fn shadow(set: &BitGrid, d: DVec3) -> Option<BitGrid> {
+    let along = (0..3).find(|a| d[*a].abs() == 1.0)?;
+    let [_, ny, nz] = set.dims();
+    let mut out = BitGrid::new(set.dims());
+    for z in 0..nz {
+        for y in 0..ny {
+            let row = set.row(y, z);
+            match along {
+                0 => {
+                    let any = u64::from(row.iter().any(|w| *w != 0));
+                    if let Some(word) = out.row_mut(y, z).first_mut() {
+                        *word = any;
+                    }
+                }
+                _ => {
+                    let (y, z) = if along == 1 { (0, z) } else { (y, 0) };
+                    out.row_mut(y, z).iter_mut().zip(row).for_each(|(o, r)| *o |= r);
+                }
+            }
+        }
+    }
+    Some(out)
 }
 
 /// Whether a section of a tool needs no look, since another, drawn on the same footing or a finer

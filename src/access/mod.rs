@@ -16,6 +16,8 @@
 //! heads) count up to 12 % wider than they are.
 
 mod additive;
+#[cfg(test)]
+mod allowance_tests;
 mod collateral;
 mod columns;
 mod depth;
@@ -37,10 +39,10 @@ pub use collateral::{Collateral, collateral};
 pub use depth::{cutter_map, cutter_maps, nozzle_map};
 pub use lattice::DepthMap;
 pub use mesh_tool::{MeshTool, MeshToolError};
-pub use open::reached_along;
+pub use open::{reachable, reached_along};
 pub use regions::{Engine, EngineChoice, accessible, choose, inaccessible, obstacle};
 pub use scene::Scene;
-pub use subtractive::{Cut, over_cut, reachable};
+pub use subtractive::{Cut, over_cut};
 pub use support::{Overhang, grounded, self_supported, supported_access, supporting};
 pub use survey::{AnyTool, Damage, Reach, Survey, damage, reached, survey};
 pub use voxel_tool::{NoVoxelTool, VoxelTool};

@@ -35,11 +35,18 @@ pub fn reached_along(
         ToolKind::Subtractive => cutter_map_of_grid(scene, tool, direction),
         ToolKind::Additive => nozzle_map_of_grid(scene, tool, direction),
     };
-    open_voxels(&map, obstacle, &scene.frame)
+    let test = |_: [usize; 3], at: DVec3| map.reaches_at(at);
+    voxels(&map, obstacle, false, &scene.frame, test)
+}
+
+/// The voxels of `candidates` that a map reaches.
+pub fn reachable(map: &DepthMap, candidates: &BitGrid, frame: &Frame) -> BitGrid {
+    voxels(map, candidates, true, frame, |v, _| map.reaches(frame.center(v)))
 }
 
 /// Least and largest value of each tile of cells.
 struct Tiles {
+    cells: [usize; 2],
     n: [usize; 2],
     range: Vec<(f32, f32)>,
 }
@@ -58,13 +65,16 @@ impl Tiles {
                 }
             }
         }
-        Tiles { n, range }
+        Tiles { cells: [nu, nv], n, range }
     }
 
-    /// Least and largest value over cells lo ..= hi.
+    /// Least and largest value over cells lo ..= hi; no largest where some lie outside the map.
     fn over(&self, lo: DVec2, hi: DVec2) -> (f64, f64) {
         let tile = |c: f64, a: usize| ((c.max(0.0) as usize) / TILE).min(self.n[a] - 1);
-        let (mut least, mut most) = (f32::INFINITY, f32::NEG_INFINITY);
+        let beyond = DVec2::new((self.cells[0] - 1) as f64, (self.cells[1] - 1) as f64);
+        let outside = lo.min_element() < 0.0 || hi.cmpgt(beyond).any();
+        let (mut least, mut most) =
+            (f32::INFINITY, if outside { f32::INFINITY } else { f32::NEG_INFINITY });
         for j in tile(lo.y, 1)..=tile(hi.y, 1) {
             for t in &self.range[j * self.n[0]..][tile(lo.x, 0)..=tile(hi.x, 0)] {
                 least = least.min(t.0);
@@ -75,8 +85,15 @@ impl Tiles {
     }
 }
 
-/// The voxels outside `obstacle` that a map of the whole grid reaches.
-fn open_voxels(map: &DepthMap, obstacle: &BitGrid, frame: &Frame) -> BitGrid {
+/// The voxels of `set`, or those outside it, that pass: by blocks where a map tells, else singly.
+/// The test is given the voxel and its [`DepthMap::place`].
+fn voxels(
+    map: &DepthMap,
+    set: &BitGrid,
+    inside: bool,
+    frame: &Frame,
+    test: impl Fn([usize; 3], DVec3) -> bool + Sync,
+) -> BitGrid {
     let mut out = BitGrid::new(frame.dims);
     let [nx, ny, nz] = frame.dims;
     if frame.dims.contains(&0) {
@@ -97,8 +114,8 @@ fn open_voxels(map: &DepthMap, obstacle: &BitGrid, frame: &Frame) -> BitGrid {
         for y0 in (0..ny).step_by(BLOCK) {
             let wide = BLOCK.min(ny - y0);
             for x0 in (0..nx).step_by(BLOCK) {
-                let inside = empty_bits(obstacle, [x0, y0, z0], [wide, deep]);
-                if inside.iter().all(|b| *b == 0) {
+                let asked = bits_of(set, inside, [x0, y0, z0], [wide, deep]);
+                if asked.iter().all(|b| *b == 0) {
                     continue;
                 }
                 let at = map.place(frame.center([x0, y0, z0]));
@@ -111,10 +128,10 @@ fn open_voxels(map: &DepthMap, obstacle: &BitGrid, frame: &Frame) -> BitGrid {
                 let all = at.z + z.0 > most + MARGIN_MM;
                 for k in 0..deep {
                     for j in 0..wide {
-                        let mut bits = inside[j + BLOCK * k];
+                        let mut bits = asked[j + BLOCK * k];
                         if bits != 0 && !all {
                             let p = at + steps[1] * j as f64 + steps[2] * k as f64;
-                            bits &= row_bits(map, p, steps[0]);
+                            bits = passing(bits, [x0, y0 + j, z0 + k], p, steps[0], &test);
                         }
                         let word = &mut slab[(k * ny + y0 + j) * words + x0 / 64];
                         *word |= u64::from(bits) << (x0 % 64);
@@ -126,26 +143,39 @@ fn open_voxels(map: &DepthMap, obstacle: &BitGrid, frame: &Frame) -> BitGrid {
     out
 }
 
-/// The empty voxels of a block, a byte a row; `size` rows along y and z.
-fn empty_bits(grid: &BitGrid, [x, y, z]: [usize; 3], size: [usize; 2]) -> [u8; BLOCK * BLOCK] {
+/// The voxels of a block inside or outside a set, a byte a row; `size` rows along y and z.
+fn bits_of(
+    grid: &BitGrid,
+    inside: bool,
+    [x, y, z]: [usize; 3],
+    size: [usize; 2],
+) -> [u8; BLOCK * BLOCK] {
     let mut bits = [0; BLOCK * BLOCK];
     // Voxels past the end of a row are none.
     let mask = 0xFFu8 >> (BLOCK - (grid.dims()[0] - x).min(BLOCK));
+    let flip = if inside { 0 } else { !0 };
     for k in 0..size[1] {
         for j in 0..size[0] {
             let word = grid.row(y + j, z + k)[x / 64];
-            bits[j + BLOCK * k] = !((word >> (x % 64)) as u8) & mask;
+            bits[j + BLOCK * k] = (((word >> (x % 64)) as u8) ^ flip) & mask;
         }
     }
     bits
 }
 
-/// Which of the next voxels along x a map reaches.
+/// Those of the next voxels along x that pass.
 #[inline]
-fn row_bits(map: &DepthMap, mut p: DVec3, step: DVec3) -> u8 {
-    let mut bits = 0;
+fn passing(
+    mut bits: u8,
+    v: [usize; 3],
+    mut p: DVec3,
+    step: DVec3,
+    test: &impl Fn([usize; 3], DVec3) -> bool,
+) -> u8 {
     for i in 0..BLOCK {
-        bits |= u8::from(map.reaches_at(p)) << i;
+        if bits >> i & 1 == 1 && !test([v[0] + i, v[1], v[2]], p) {
+            bits &= !(1 << i);
+        }
         p += step;
     }
     bits
@@ -154,7 +184,7 @@ fn row_bits(map: &DepthMap, mut p: DVec3, step: DVec3) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::access::{cutter_map, nozzle_map, reachable};
+    use crate::access::{cutter_map, nozzle_map};
     use crate::base::fibonacci_sphere;
     use crate::morph::complement;
 
@@ -170,9 +200,14 @@ mod tests {
         let (cutter, nozzle) =
             (Tool::builtin("w2v-cutter").unwrap(), Tool::builtin("w2v-nozzle").unwrap());
         for d in fibonacci_sphere(12).into_iter().chain([Direction::Z, Direction::NEG_Y]) {
-            let one = reachable(&cutter_map(&scene, &air, &cutter, d), &air, &frame);
+            let singly = |map: &DepthMap| {
+                BitGrid::from_fn(frame.dims, |v| air.get(v) && map.reaches(frame.center(v)))
+            };
+            let map = cutter_map(&scene, &air, &cutter, d);
+            let one = singly(&map);
+            assert_eq!(reachable(&map, &air, &frame), one, "{d:?}");
             assert_eq!(reached_along(&scene, &solid, &cutter, d), one, "{d:?}");
-            let one = reachable(&nozzle_map(&scene, &air, &nozzle, d, 0.0), &air, &frame);
+            let one = singly(&nozzle_map(&scene, &air, &nozzle, d, 0.0));
             assert_eq!(reached_along(&scene, &solid, &nozzle, d), one, "{d:?}");
         }
     }

@@ -301,10 +301,11 @@ impl Work<'_> {
     ) -> bool {
         let w = if W == 0 { out.len() } else { W };
         let (out, old) = (&mut out[..w], &mut old[..w]);
-        let ny = self.set.dims()[1] as i64;
+        let ny = self.set.dims()[1];
+        let slice = &self.set.words()[z * ny * w..(z + 1) * ny * w];
         let row = |dy: i64| {
-            let from = y - dy;
-            (0..ny).contains(&from).then(|| self.set.row(from as usize, z))
+            let from = usize::try_from(y - dy).ok()?;
+            slice.get(from * w..(from + 1) * w)
         };
         match &s.shape {
             Shape::Stack { centre, steps } => {
