@@ -46,7 +46,10 @@ def transform():
 
 
 measure("scipy binary_dilation, disk then run", 1, separated)
-measure("scipy binary_dilation, cylinder r 9 × 60", 1, lambda: scipy.ndimage.binary_dilation(solid, cylinder))
+# By the whole element scipy takes half an hour; a slice of the grid tells its cost a voxel.
+part = solid[: max(1, nz // 40)]
+measure(f"scipy binary_dilation, cylinder r 9 × 60, {len(part)} of {nz} slices", 1,
+        lambda: scipy.ndimage.binary_dilation(part, cylinder))
 measure("scipy FFT, cylinder r 9 × 60", 1, transform)
 measure("scipy distance_transform_edt", 1, distance)
 measure("edt", 2, lambda: edt.edt(solid, parallel=2))
