@@ -32,8 +32,8 @@ pub fn widen(a: &mut [u64], old: &mut [u64], left: u32, right: u32) {
     while reached < both {
         let n = (reached + 1).min(both - reached).min(63);
         old.copy_from_slice(a);
-        for i in 0..a.len() {
-            a[i] |= up(old, i, n) | down(old, i, n);
+        for (i, word) in a.iter_mut().enumerate() {
+            *word |= up(old, i, n) | down(old, i, n);
         }
         reached += n;
     }
@@ -42,8 +42,8 @@ pub fn widen(a: &mut [u64], old: &mut [u64], left: u32, right: u32) {
         while reached < side {
             let n = (reached + 1).min(side - reached).min(63);
             old.copy_from_slice(a);
-            for i in 0..a.len() {
-                a[i] |= if downward { down(old, i, n) } else { up(old, i, n) };
+            for (i, word) in a.iter_mut().enumerate() {
+                *word |= if downward { down(old, i, n) } else { up(old, i, n) };
             }
             reached += n;
         }
