@@ -74,7 +74,8 @@ fn random_grids_with_round_tools_along_all_axes() {
     (0..60u64).into_par_iter().for_each(|stream| {
         let mut r = rng(6, stream);
         let dims = [0, 1, 2].map(|_| 3 + r.next_u32() as usize % 22);
-        let cells: Vec<bool> = (0..dims.iter().product()).map(|_| r.next_u32().is_multiple_of(40)).collect();
+        let cells: Vec<bool> =
+            (0..dims.iter().product()).map(|_| r.next_u32().is_multiple_of(40)).collect();
         let solid = BitGrid::from_fn(dims, |[x, y, z]| cells[x + dims[0] * (y + dims[1] * z)]);
         let mut radius = || f64::from(r.next_u32() % 40) / 10.0;
         // Every third tool undercuts.
