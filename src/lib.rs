@@ -6,7 +6,7 @@
 //! (a test reads the sources and fails when an import points the other way):
 //!
 //! ```text
-//! mesh → voxel → region → job ─planner→ plan ─verify→ verified plan → toolpath → program → stream
+//! mesh → voxel → morph → region → job ─planner→ plan ─verify→ verified plan → toolpath → program → stream
 //! ```
 //!
 //! Lengths are millimetres, angles radians unless a name ends in `_deg`; frames are right-handed,
@@ -15,6 +15,7 @@
 pub mod base;
 pub mod mesh;
 pub mod voxel;
+pub mod morph;
 pub mod machine;
 pub mod region;
 pub mod access;

@@ -141,11 +141,8 @@ fn a_grid_beyond_all_memory_is_refused_at_once() {
 }
 
 #[test]
-fn commands_of_later_versions_say_so() {
+fn a_program_that_is_not_there_is_not_sent() {
     refused(hmplan().args(["stream", "no.gcode", "--port", "/dev/null"]), "cannot be read");
-    let mut analyze = hmplan();
-    analyze.args(["analyze", "part.stl", "--tool", "w2v-cutter", "--direction", "-1,0,0"]);
-    refused(&mut analyze, "not in version");
 }
 
 #[test]

@@ -15,6 +15,7 @@
 
 use super::Scene;
 use super::filter::{Image, Kernel, Op, Spans, filter};
+use super::lattice::{DepthMap, Lattice};
 use crate::base::{Aabb, DVec2, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
 use crate::voxel::{BitGrid, Frame};
@@ -22,93 +23,6 @@ use crate::voxel::{BitGrid, Frame};
 /// Largest radius of a section in cells of the image it is treated on. Larger is slower by its
 /// square; smaller makes wide sections wider than they are (by at most √2/12 at this value).
 const WIDEST_CELLS: f64 = 24.0;
-
-/// Margin in mm that hides the rounding of f32 heights (parts up to metres) from the verdict.
-const ROUNDING_MM: f32 = 1e-4;
-
-/// Lowest height per lattice cell at which something holds; see [`cutter_map`], [`nozzle_map`].
-pub struct DepthMap {
-    plane: ImagePlane,
-    lattice: Lattice,
-    lowest: Vec<f32>,
-}
-
-impl DepthMap {
-    /// Whether the point at `p` may be cut (or deposited) along the map's direction. `p` is the
-    /// centre of a voxel of the set the map was made for; of any other point the answer is no.
-    #[inline]
-    pub fn reaches(&self, p: DVec3) -> bool {
-        match self.lattice.cell(self.plane.across(p)) {
-            Some(c) => self.plane.height(p) as f32 >= self.lowest[c] + ROUNDING_MM,
-            None => false,
-        }
-    }
-}
-
-/// A window of the tip lattice of a direction.
-#[derive(Clone, Copy)]
-struct Lattice {
-    spacing: f64,
-    /// 1 / spacing: a cell is looked up for every point, and a division would take half the time.
-    per_mm: f64,
-    /// (u, v) of cell (0, 0).
-    first: DVec2,
-    nu: usize,
-    nv: usize,
-}
-
-impl Lattice {
-    /// Cells that hold every point of the box `b` and `margin` mm around it. `pool` cells of
-    /// the tip lattice, which is anchored to the frame, make one cell along each axis.
-    fn around(
-        frame: &Frame,
-        b: &Aabb,
-        plane: &ImagePlane,
-        spacing: f64,
-        margin: f64,
-        pool: usize,
-    ) -> Self {
-        let anchor = plane.across(frame.center([0, 0, 0]));
-        let (mut lo, mut hi) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-        for i in 0..8 {
-            let pick = |bit: usize, lo: f64, hi: f64| if i >> bit & 1 == 0 { lo } else { hi };
-            let corner = DVec3::new(
-                pick(0, b.min.x, b.max.x),
-                pick(1, b.min.y, b.max.y),
-                pick(2, b.min.z, b.max.z),
-            );
-            let uv = plane.across(corner);
-            (lo, hi) = (lo.min(uv), hi.max(uv));
-        }
-        let spacing = spacing * pool as f64;
-        let first = ((lo - anchor - DVec2::splat(margin)) / spacing).floor();
-        let last = ((hi - anchor + DVec2::splat(margin)) / spacing).ceil();
-        let n = last - first + DVec2::ONE;
-        Lattice {
-            spacing,
-            per_mm: 1.0 / spacing,
-            first: anchor + first * spacing,
-            nu: n.x as usize,
-            nv: n.y as usize,
-        }
-    }
-
-    /// The cell nearest to (u, v).
-    #[inline]
-    fn cell(&self, uv: DVec2) -> Option<usize> {
-        let at = (uv - self.first) * self.per_mm + DVec2::splat(0.5);
-        // Truncation is the floor of what is not negative.
-        let (i, j) = (at.x as usize, at.y as usize);
-        let inside = at.x >= 0.0 && at.y >= 0.0 && i < self.nu && j < self.nv;
-        inside.then(|| i + self.nu * j)
-    }
-
-    /// How far cell (0, 0) of `other`, of the same spacing and phase, lies from this one's.
-    fn offset_of(&self, other: &Lattice) -> (isize, isize) {
-        let shift = ((other.first - self.first) / self.spacing).round();
-        (shift.x as isize, shift.y as isize)
-    }
-}
 
 /// Spacing of the tip lattice of a direction, mm.
 fn spacing(frame: &Frame, direction: Direction) -> f64 {
@@ -124,7 +38,8 @@ fn rounding_cells(direction: Direction) -> f64 {
 /// A direction's look at a scene, for the voxels of one set.
 struct View<'a> {
     scene: &'a Scene,
-    wanted: &'a BitGrid,
+    /// The voxels asked for; none for all of the grid.
+    wanted: Option<&'a BitGrid>,
     plane: ImagePlane,
     /// Box of the wanted voxels.
     within: Aabb,
@@ -140,11 +55,17 @@ impl<'a> View<'a> {
         let half = DVec3::splat(scene.frame.pitch / 2.0);
         // Of an empty set nothing is asked; one voxel stands for it.
         let (lo, hi) = wanted.extent().unwrap_or_default();
+        let within =
+            Aabb { min: scene.frame.center(lo) - half, max: scene.frame.center(hi) + half };
+        View { wanted: Some(wanted), within, ..View::of_grid(scene, direction, margin) }
+    }
+
+    fn of_grid(scene: &'a Scene, direction: Direction, margin: f64) -> Self {
         View {
             scene,
-            wanted,
+            wanted: None,
             plane: direction.image_plane(),
-            within: Aabb { min: scene.frame.center(lo) - half, max: scene.frame.center(hi) + half },
+            within: scene.frame.bounds(),
             spacing: spacing(&scene.frame, direction),
             margin,
             images: Vec::new(),
@@ -157,8 +78,12 @@ impl<'a> View<'a> {
 
     /// The cells under the wanted voxels.
     fn under(&self, lattice: &Lattice) -> Spans {
+        let Some(wanted) = self.wanted else {
+            return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
+        };
         let mut under = vec![false; lattice.nu * lattice.nv];
-        for v in self.wanted.iter_ones() {
+        let shadow = shadow(wanted, self.plane.d);
+        for v in shadow.as_ref().unwrap_or(wanted).iter_ones() {
             if let Some(c) = lattice.cell(self.plane.across(self.scene.frame.center(v))) {
                 under[c] = true;
             }
@@ -247,6 +172,32 @@ impl<'a> View<'a> {
     }
 }
 
+/// One voxel for each column of a set along a grid axis: columns share their cell. None along any
+/// other direction.
+fn shadow(set: &BitGrid, d: DVec3) -> Option<BitGrid> {
+    let along = (0..3).find(|a| d[*a].abs() == 1.0)?;
+    let [_, ny, nz] = set.dims();
+    let mut out = BitGrid::new(set.dims());
+    for z in 0..nz {
+        for y in 0..ny {
+            let row = set.row(y, z);
+            match along {
+                0 => {
+                    let any = u64::from(row.iter().any(|w| *w != 0));
+                    if let Some(word) = out.row_mut(y, z).first_mut() {
+                        *word = any;
+                    }
+                }
+                _ => {
+                    let (y, z) = if along == 1 { (0, z) } else { (y, 0) };
+                    out.row_mut(y, z).iter_mut().zip(row).for_each(|(o, r)| *o |= r);
+                }
+            }
+        }
+    }
+    Some(out)
+}
+
 /// Whether a section of a tool needs no look, since another, drawn on the same footing or a finer
 /// one, is nowhere higher over it: the shank over the ball of the same radius.
 fn shadows((before, lift): &(Section, f64), (section, section_lift): &(Section, f64)) -> bool {
@@ -275,6 +226,19 @@ pub fn cutter_maps(
     let mut view = View::new(scene, wanted, direction, margin);
     let under = view.under(&view.window());
     tools.iter().map(|t| cutter_map_in(&mut view, &under, t, direction)).collect()
+}
+
+/// [`cutter_map`] for all voxels of the grid.
+pub(super) fn cutter_map_of_grid(scene: &Scene, tool: &Tool, direction: Direction) -> DepthMap {
+    let mut view = View::of_grid(scene, direction, cutter_margin(scene, tool, direction));
+    let under = view.under(&view.window());
+    cutter_map_in(&mut view, &under, tool, direction)
+}
+
+/// [`nozzle_map`] for all voxels of the grid, nothing standing lower than allowed.
+pub(super) fn nozzle_map_of_grid(scene: &Scene, tool: &Tool, direction: Direction) -> DepthMap {
+    let view = View::of_grid(scene, direction, spacing(&scene.frame, direction));
+    nozzle_map_in(view, tool, direction, 0.0)
 }
 
 fn cutter_margin(scene: &Scene, tool: &Tool, direction: Direction) -> f64 {
@@ -312,7 +276,11 @@ pub fn nozzle_map(
     direction: Direction,
     dip_mm: f64,
 ) -> DepthMap {
-    let mut view = View::new(scene, wanted, direction, spacing(&scene.frame, direction));
+    let view = View::new(scene, wanted, direction, spacing(&scene.frame, direction));
+    nozzle_map_in(view, tool, direction, dip_mm)
+}
+
+fn nozzle_map_in(mut view: View, tool: &Tool, direction: Direction, dip_mm: f64) -> DepthMap {
     // Here the tip too is anywhere in its cell.
     let rounding = 2.0 * rounding_cells(direction);
     let sections: Vec<(Section, f64)> = tool

@@ -57,6 +57,12 @@ impl Spans {
         Spans { rows }
     }
 
+    /// One run a row.
+    pub fn of_runs(runs: Vec<Range<usize>>) -> Spans {
+        let row = |run: Range<usize>| if run.is_empty() { Vec::new() } else { vec![run] };
+        Spans { rows: runs.into_iter().map(row).collect() }
+    }
+
     /// The cells at most `reach` cells away along each axis, within `width`.
     pub fn grown(&self, reach: usize, width: usize) -> Spans {
         let rows = (0..self.rows.len())

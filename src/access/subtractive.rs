@@ -1,28 +1,9 @@
 //! What one direction can cut.
 
-use super::{DepthMap, Scene, cutter_map};
+use super::{Scene, cutter_map, reachable};
 use crate::base::{DVec3, Direction};
 use crate::machine::Tool;
 use crate::voxel::{BitGrid, Frame};
-use rayon::prelude::*;
-
-/// The voxels of `candidates` that a map reaches.
-pub fn reachable(map: &DepthMap, candidates: &BitGrid, frame: &Frame) -> BitGrid {
-    let mut out = BitGrid::new(candidates.dims());
-    out.par_rows_mut().for_each(|(y, z, row)| {
-        for (w, &bits) in candidates.row(y, z).iter().enumerate() {
-            let mut rest = bits;
-            while rest != 0 {
-                let bit = rest.trailing_zeros() as usize;
-                rest &= rest - 1;
-                if map.reaches(frame.center([w * 64 + bit, y, z])) {
-                    row[w] |= 1 << bit;
-                }
-            }
-        }
-    });
-    out
-}
 
 /// An over-cut: what a tool removes from a state along a direction.
 pub struct Cut {

@@ -172,11 +172,39 @@ pub struct VerifyArgs {
 
 #[derive(Debug, Args)]
 pub struct AnalyzeArgs {
+    /// The part (OBJ, STL, PLY, OFF or 3MF)
     pub part: PathBuf,
-    #[arg(long)]
+    /// Tool: a name (see `hmplan tool list`), a TOML file, or a mesh of its active part in mm, tip
+    /// at the origin, axis along +z
+    #[arg(long, value_name = "NAME|FILE")]
     pub tool: String,
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    /// Mesh of the passive part (shank, holder) of a tool that is a mesh
+    #[arg(long, value_name = "FILE")]
+    pub tool_passive: Option<PathBuf>,
+    /// Direction from the part toward the spindle [default: 0,0,1]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "directions")]
     pub direction: Option<String>,
+    /// Look from this many directions, spread evenly over the sphere
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub directions: Option<u32>,
+    /// Directory to write: analysis.json, surface.ply
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+    /// Voxel size in mm [default: about 8 million voxels, at most a third of the tool's tip radius]
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    pub resolution: Option<f64>,
+    /// Steepest overhang that needs no support, degrees from the vertical, 0 to 60
+    #[arg(long, value_name = "DEG", default_value_t = 50.0, value_parser = not_negative)]
+    pub overhang: f64,
+    /// Unit of the part
+    #[arg(long, value_enum, default_value_t = Unit::Mm)]
+    pub unit: Unit,
+    /// Factor on the size of the part
+    #[arg(long, default_value_t = 1.0, value_name = "F", value_parser = positive)]
+    pub scale: f64,
+    /// File axis that points up
+    #[arg(long, value_enum, default_value_t = Axis::Z, allow_hyphen_values = true)]
+    pub up: Axis,
 }
 
 #[derive(Debug, Args)]

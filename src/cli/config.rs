@@ -133,11 +133,7 @@ fn part(
     both: &UnitArgs,
     (unit, scale, up): (Option<Unit>, Option<f64>, Option<Axis>),
 ) -> PartConfig {
-    let mm = match unit.unwrap_or(both.unit) {
-        Unit::Mm => 1.0,
-        Unit::In => 25.4,
-        Unit::M => 1000.0,
-    };
+    let mm = unit.unwrap_or(both.unit).mm();
     PartConfig {
         path: path.to_path_buf(),
         mm_per_unit: mm * scale.unwrap_or(both.scale),
@@ -181,6 +177,17 @@ fn tools(machine: &Machine, names: &[String], kind: ToolKind) -> Result<Vec<Tool
         }
     }
     Ok(tools)
+}
+
+impl Unit {
+    /// Millimetres of one unit.
+    pub fn mm(self) -> f64 {
+        match self {
+            Unit::Mm => 1.0,
+            Unit::In => 25.4,
+            Unit::M => 1000.0,
+        }
+    }
 }
 
 impl Axis {

@@ -1,11 +1,14 @@
 //! The command line: raw flags ([`args`]) → resolved configuration ([`config`]) → one function a
 //! subcommand. Belongs to the binary alone.
 
+mod analysis;
+mod analyze;
 mod args;
 mod config;
 mod exit;
 mod inputs;
 mod output;
+mod paint;
 mod pipeline;
 mod plan;
 mod keys;
@@ -52,12 +55,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Command::Tool { action } => profiles::tool(&action),
         Command::Completions { shell } => completions(shell),
         Command::Schema { of } => schema(of),
-        Command::Analyze(args) => Err(not_yet(&format!(
-            "analyze ({} with tool {}{})",
-            args.part.display(),
-            args.tool,
-            args.direction.map_or(String::new(), |d| format!(" along {d}"))
-        ))),
+        Command::Analyze(args) => analyze::run(&args, &cli.output),
         Command::Stream(args) => stream::run(&args, &cli.output),
     }
 }

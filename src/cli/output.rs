@@ -7,14 +7,28 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// The file that marks a directory as one of ours.
 pub const PLAN: &str = "plan.json";
 pub const PROGRAM: &str = "out.gcode";
 pub const REPORT: &str = "report.html";
 pub const STATES: &str = "states";
 
-/// Everything at the top of an output directory.
-const OURS: [&str; 4] = [PLAN, PROGRAM, REPORT, STATES];
+pub const ANALYSIS: &str = "analysis.json";
+pub const COLOURS: &str = "surface.ply";
+
+/// A kind of output directory.
+#[derive(Debug)]
+pub struct Kind {
+    /// What its content is called in messages.
+    noun: &'static str,
+    /// The file that marks a directory as one of ours.
+    marker: &'static str,
+    /// Everything at its top.
+    ours: &'static [&'static str],
+}
+
+const PLAN_DIR: Kind = Kind { noun: "plan", marker: PLAN, ours: &[PLAN, PROGRAM, REPORT, STATES] };
+pub const ANALYSIS_DIR: Kind =
+    Kind { noun: "analysis", marker: ANALYSIS, ours: &[ANALYSIS, COLOURS] };
 
 /// A place where an output directory may go.
 #[derive(Debug)]
@@ -22,6 +36,7 @@ pub struct Destination {
     dir: PathBuf,
     parent: PathBuf,
     name: String,
+    kind: &'static Kind,
 }
 
 impl Destination {
@@ -31,7 +46,12 @@ impl Destination {
     /// Input: it is a file, or holds something other than an earlier plan. I/O: its parent cannot
     /// be made or written.
     pub fn claim(dir: &Path) -> Result<Destination, Failure> {
-        refuse_foreign(dir)?;
+        Destination::claim_as(dir, &PLAN_DIR)
+    }
+
+    /// [`Destination::claim`] for another kind of output.
+    pub fn claim_as(dir: &Path, kind: &'static Kind) -> Result<Destination, Failure> {
+        refuse_foreign(dir, kind)?;
         let absolute = std::path::absolute(dir).map_err(|e| Failure::writing(dir, &e))?;
         let place = absolute.canonicalize().unwrap_or(absolute);
         let (Some(parent), Some(name)) = (place.parent(), place.file_name()) else {
@@ -45,6 +65,7 @@ impl Destination {
             parent: parent.to_path_buf(),
             name: name.to_string_lossy().into_owned(),
             dir: place.clone(),
+            kind,
         };
         // Better to fail now than after minutes of planning.
         drop(destination.begin()?);
@@ -107,11 +128,12 @@ impl Draft<'_> {
         let dir = &self.destination.dir;
         let failed = |e: io::Error| Failure::writing(dir, &e);
         // Again: the directory may have changed while the plan was made.
-        refuse_foreign(dir)?;
+        let kind = self.destination.kind;
+        refuse_foreign(dir, kind)?;
         sync_dir(&self.path).map_err(failed)?;
         if dir.exists() {
             exchange(&self.path, dir, &self.destination.sibling("old")).map_err(failed)?;
-            keep_foreign(&self.path, dir).map_err(failed)?;
+            keep_foreign(&self.path, dir, kind).map_err(failed)?;
         } else {
             fs::rename(&self.path, dir).map_err(failed)?;
         }
@@ -120,7 +142,7 @@ impl Draft<'_> {
 }
 
 /// Fails unless `dir` is absent, empty, or an earlier output.
-fn refuse_foreign(dir: &Path) -> Result<(), Failure> {
+fn refuse_foreign(dir: &Path, kind: &Kind) -> Result<(), Failure> {
     let entries = match fs::read_dir(dir) {
         Ok(entries) => entries,
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -132,10 +154,11 @@ fn refuse_foreign(dir: &Path) -> Result<(), Failure> {
         }
         Err(e) => return Err(Failure::writing(dir, &e)),
     };
-    if entries.count() > 0 && !dir.join(PLAN).is_file() {
+    if entries.count() > 0 && !dir.join(kind.marker).is_file() {
         return Err(Failure::Input(format!(
-            "{} is not empty and holds no earlier plan; name another directory with -o",
-            dir.display()
+            "{} is not empty and holds no earlier {}; name another directory with -o",
+            dir.display(),
+            kind.noun
         )));
     }
     Ok(())
@@ -164,10 +187,10 @@ fn exchange_by_renames(new: &Path, dir: &Path, aside: &Path) -> io::Result<()> {
 }
 
 /// Carries over what a person put beside an earlier plan.
-fn keep_foreign(old: &Path, dir: &Path) -> io::Result<()> {
+fn keep_foreign(old: &Path, dir: &Path, kind: &Kind) -> io::Result<()> {
     for entry in fs::read_dir(old)? {
         let name = entry?.file_name();
-        if !OURS.iter().any(|ours| name == *ours) {
+        if !kind.ours.iter().any(|ours| name == *ours) {
             fs::rename(old.join(&name), dir.join(&name))?;
         }
     }

@@ -205,6 +205,10 @@ impl World {
                 }
                 Action::Realtime(device, b) => {
                     let i = device.index();
+                    if device == Device::Control && b == 0x18 {
+                        // A reset empties the receive buffer, also when its banner is late.
+                        self.open.clear();
+                    }
                     if self.queues[i].is_empty() {
                         self.due[i] = self.due[i].max(self.now + 1000);
                     }

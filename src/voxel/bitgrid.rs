@@ -90,7 +90,7 @@ impl BitGrid {
 
     /// Slabs of up to `slices` slices with their first z, in parallel; the bits past `dims[0]` of
     /// every row must stay zero.
-    pub(super) fn par_slabs_mut(
+    pub(crate) fn par_slabs_mut(
         &mut self,
         slices: usize,
     ) -> impl IndexedParallelIterator<Item = (usize, &mut [u64])> {

@@ -19,6 +19,9 @@ const HISTORY: usize = 64;
 /// How often one line is written again before the link is given up.
 const MOST_REPEATS: u32 = 10;
 
+/// Lines already counted as taken that may still be refused: more than any device queues.
+const REFUSED_LATE: u32 = 8;
+
 /// Sets the device's count to zero.
 const BEGIN: &[u8] = b"\nN0 M110 N0*125\n";
 
@@ -215,7 +218,9 @@ impl Numbered {
             let body = line.split_once(' ').map_or("", |(_, b)| b);
             body.rsplit_once('*').map_or(body, |(b, _)| b).to_string()
         };
-        let mut open = (self.answered + 1..self.cursor).filter_map(|n| self.sent(n));
+        // A request for a later line may have come first and counted this one as taken.
+        let from = (self.answered + 1).saturating_sub(REFUSED_LATE);
+        let mut open = (from..self.cursor).filter_map(|n| self.sent(n));
         let ours = |line: String| {
             // A lost line end makes two lines one, and the sum agrees once in 256.
             !text.is_empty() && (line.starts_with(text) || text.starts_with(&format!("{line}*")))

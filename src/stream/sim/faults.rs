@@ -37,6 +37,9 @@ pub struct Script {
     pub faults: Vec<Fault>,
 }
 
+/// Bytes of the longest line of the programs that are damaged, number and checksum included.
+const LONGEST_LINE: u64 = 48;
+
 impl Script {
     /// Up to `most` faults among the first `bytes` bytes. With `damage`, bytes may be damaged,
     /// on both ways; else only what leaves bytes as they are happens.
@@ -61,12 +64,17 @@ impl Script {
     }
 
     /// One damaged byte in each line with probability `rate`, for the first `lines` lines of
-    /// about `length` bytes.
+    /// about `length` bytes; never two within a line.
     pub fn damage(rng: &mut Rng, rate: f64, lines: u64, length: u64) -> Script {
         let mut faults = Vec::new();
+        let mut free = 0;
         for line in 0..lines {
             if rng.random_bool(rate) {
                 let n = line * length + rng.random_range(0..length);
+                if n < free {
+                    continue;
+                }
+                free = n + LONGEST_LINE;
                 faults.push(match rng.random_range(0..3) {
                     0 => Fault::Drop(Way::ToDevice, n),
                     1 => Fault::Flip(Way::ToDevice, n, rng.random_range(0..8)),

@@ -1,0 +1,154 @@
+//! The lattice of tips across a direction, and heights on it.
+
+use crate::base::{Aabb, DVec2, DVec3, ImagePlane};
+use crate::voxel::Frame;
+use std::ops::Range;
+
+/// Margin in mm that hides the rounding of f32 heights (parts up to metres) from the verdict.
+const ROUNDING_MM: f32 = 1e-4;
+
+/// Lowest height per lattice cell at which something holds; see [`super::cutter_map`], [`super::nozzle_map`].
+pub struct DepthMap {
+    pub(super) plane: ImagePlane,
+    pub(super) lattice: Lattice,
+    pub(super) lowest: Vec<f32>,
+}
+
+impl DepthMap {
+    /// Whether the point at `p` may be cut (or deposited) along the map's direction. `p` is the
+    /// centre of a voxel of the set the map was made for; of any other point the answer is no.
+    #[inline]
+    pub fn reaches(&self, p: DVec3) -> bool {
+        match self.lattice.cell(self.plane.across(p)) {
+            Some(c) => self.plane.height(p) as f32 >= self.lowest[c] + ROUNDING_MM,
+            None => false,
+        }
+    }
+
+    /// The cells' values and their numbers along u and v.
+    pub(super) fn cells(&self) -> (&[f32], usize, usize) {
+        (&self.lowest, self.lattice.nu, self.lattice.nv)
+    }
+
+    /// (u, v) of a point in cells and its height in mm.
+    pub(super) fn place(&self, p: DVec3) -> DVec3 {
+        let at = (self.plane.across(p) - self.lattice.first) * self.lattice.per_mm;
+        at.extend(self.plane.height(p))
+    }
+
+    /// What a step of `mm` along x, y, z adds to [`DepthMap::place`].
+    pub(super) fn steps(&self, mm: f64) -> [DVec3; 3] {
+        let scale = mm * self.lattice.per_mm;
+        let (u, v, d) = (self.plane.u * scale, self.plane.v * scale, self.plane.d * mm);
+        [0, 1, 2].map(|a| DVec3::new(u[a], v[a], d[a]))
+    }
+
+    /// [`DepthMap::reaches`] of a [`DepthMap::place`].
+    #[inline]
+    pub(super) fn reaches_at(&self, at: DVec3) -> bool {
+        let (i, j) = ((at.x + 0.5) as usize, (at.y + 0.5) as usize);
+        i < self.lattice.nu
+            && at.x >= -0.5
+            && at.y >= -0.5
+            && self
+                .lowest
+                .get(i + self.lattice.nu * j)
+                .is_some_and(|low| at.z as f32 >= *low + ROUNDING_MM)
+    }
+}
+
+/// The corners of a box.
+fn corners(b: &Aabb) -> [DVec3; 8] {
+    std::array::from_fn(|i| {
+        let pick = |bit: usize, lo: f64, hi: f64| if i >> bit & 1 == 0 { lo } else { hi };
+        DVec3::new(pick(0, b.min.x, b.max.x), pick(1, b.min.y, b.max.y), pick(2, b.min.z, b.max.z))
+    })
+}
+
+/// A window of the tip lattice of a direction.
+#[derive(Clone, Copy)]
+pub(super) struct Lattice {
+    pub spacing: f64,
+    /// 1 / spacing: a cell is looked up for every point, and a division would take half the time.
+    per_mm: f64,
+    /// (u, v) of cell (0, 0).
+    pub first: DVec2,
+    pub nu: usize,
+    pub nv: usize,
+}
+
+impl Lattice {
+    /// Cells that hold every point of the box `b` and `margin` mm around it. `pool` cells of
+    /// the tip lattice, which is anchored to the frame, make one cell along each axis.
+    pub fn around(
+        frame: &Frame,
+        b: &Aabb,
+        plane: &ImagePlane,
+        spacing: f64,
+        margin: f64,
+        pool: usize,
+    ) -> Self {
+        let anchor = plane.across(frame.center([0, 0, 0]));
+        let (mut lo, mut hi) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for uv in corners(b).map(|c| plane.across(c)) {
+            (lo, hi) = (lo.min(uv), hi.max(uv));
+        }
+        let spacing = spacing * pool as f64;
+        let first = ((lo - anchor - DVec2::splat(margin)) / spacing).floor();
+        let last = ((hi - anchor + DVec2::splat(margin)) / spacing).ceil();
+        let n = last - first + DVec2::ONE;
+        Lattice {
+            spacing,
+            per_mm: 1.0 / spacing,
+            first: anchor + first * spacing,
+            nu: n.x as usize,
+            nv: n.y as usize,
+        }
+    }
+
+    /// The cell nearest to (u, v).
+    #[inline]
+    pub fn cell(&self, uv: DVec2) -> Option<usize> {
+        let at = (uv - self.first) * self.per_mm + DVec2::splat(0.5);
+        // Truncation is the floor of what is not negative.
+        let (i, j) = (at.x as usize, at.y as usize);
+        let inside = at.x >= 0.0 && at.y >= 0.0 && i < self.nu && j < self.nv;
+        inside.then(|| i + self.nu * j)
+    }
+
+    /// How far cell (0, 0) of `other`, of the same spacing and phase, lies from this one's.
+    pub fn offset_of(&self, other: &Lattice) -> (isize, isize) {
+        let shift = ((other.first - self.first) / self.spacing).round();
+        (shift.x as isize, shift.y as isize)
+    }
+
+    /// Per row of cells, those that the shadow of a box falls on, with a cell to spare.
+    pub fn under_box(&self, b: &Aabb, plane: &ImagePlane) -> Vec<Range<usize>> {
+        let at = corners(b).map(|c| (plane.across(c) - self.first) * self.per_mm);
+        let near = |j: usize, p: &DVec2| (p.y - j as f64).abs() <= 1.0;
+        (0..self.nv)
+            .map(|j| {
+                let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
+                let mut take = |u: f64| (lo, hi) = (lo.min(u), hi.max(u));
+                at.iter().filter(|p| near(j, p)).for_each(|p| take(p.x));
+                // Where each segment between two corners crosses the row's band. Those inside the
+                // shadow do no harm.
+                for (i, p) in at.iter().enumerate() {
+                    for q in &at[i + 1..] {
+                        for y in [j as f64 - 1.0, j as f64 + 1.0] {
+                            let t = (y - p.y) / (q.y - p.y);
+                            if (0.0..=1.0).contains(&t) {
+                                take(p.x + t * (q.x - p.x));
+                            }
+                        }
+                    }
+                }
+                if lo > hi {
+                    return 0..0;
+                }
+                let from = (lo - 1.0).floor().max(0.0) as usize;
+                from..((hi + 2.0).ceil().max(0.0) as usize).min(self.nu).max(from)
+            })
+            .collect()
+    }
+}
