@@ -20,6 +20,7 @@ mod bodies;
 mod content;
 mod end;
 mod machine_limits;
+mod operations;
 mod profile;
 mod replay;
 mod skyline;
@@ -31,6 +32,7 @@ mod tests;
 mod tiplattice;
 mod verdict;
 
+pub use operations::{OperationFault, verify_operations};
 pub use end::{Measures, Place, Residual};
 pub use verdict::{Rule, RuleResult, Verdict, Verified};
 

@@ -12,14 +12,13 @@
 
 use super::bottleneck::Bottleneck;
 use super::forest::carried;
-use super::operation::Orientation;
-use super::workpiece::{Cell, Workpiece};
+use super::workpiece::{Cell, Ways, Workpiece};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
 /// Cells that one without a carrier costs later. Lower, and shelves creep under ceilings; higher,
 /// and ways run deep for nothing.
-const UNCARRIED: u32 = 2;
+const UNCARRIED: u32 = 1;
 
 /// Ways that may fail before the search is confined.
 const ATTEMPTS: usize = 6;
@@ -34,16 +33,16 @@ struct Visit {
     done: bool,
 }
 
-/// Accretes one way from any of `sources` to grounded material; what was accreted, in order.
+/// Accretes one way from any of `sources`, given with the cost of each, to grounded material; what was accreted, in order.
 pub(super) fn connect(
     w: &mut Workpiece,
     b: &mut Bottleneck,
-    sources: &[Cell],
-) -> Vec<(Cell, Orientation)> {
+    sources: &[(Cell, u32)],
+) -> Vec<(Cell, Ways)> {
     let mut barred: Vec<Cell> = Vec::new();
     for _ in 0..ATTEMPTS {
         let usable =
-            |w: &Workpiece, c| w.empty(c) && w.access(c).is_some() && !barred.contains(&c);
+            |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
         let Some(way) = search(w, b, sources, usable) else { break };
         match build(w, &way) {
             Ok(added) => {
@@ -64,15 +63,15 @@ pub(super) fn connect(
 fn search(
     w: &Workpiece,
     b: &Bottleneck,
-    sources: &[Cell],
+    sources: &[(Cell, u32)],
     usable: impl Fn(&Workpiece, Cell) -> bool,
 ) -> Option<Vec<Cell>> {
     let mut visits: HashMap<Cell, Visit> = HashMap::new();
     let mut heap = BinaryHeap::new();
-    for &s in sources {
-        if usable(w, s) && !visits.contains_key(&s) {
-            visits.insert(s, Visit { cost: 1, from: s, done: false });
-            heap.push(Reverse((1u32, s, false)));
+    for &(s, cost) in sources {
+        if usable(w, s) {
+            visits.insert(s, Visit { cost, from: s, done: false });
+            heap.push(Reverse((cost, s, false)));
         }
     }
     let offsets = w.offsets();
@@ -118,20 +117,17 @@ fn trace(visits: &HashMap<Cell, Visit>, ground: Cell) -> Vec<Cell> {
 }
 
 /// Accretes the cells in order, or undoes all and names the one that cannot be reached.
-fn build(w: &mut Workpiece, way: &[Cell]) -> Result<Vec<(Cell, Orientation)>, Cell> {
+fn build(w: &mut Workpiece, way: &[Cell]) -> Result<Vec<(Cell, Ways)>, Cell> {
     let mut log = Vec::new();
     let mut added = Vec::new();
     for &cell in way {
-        match w.access(cell) {
-            Some(orientation) => {
-                log.push(w.accrete(cell));
-                added.push((cell, orientation));
-            }
-            None => {
-                w.undo(log.into_iter());
-                return Err(cell);
-            }
+        let ways = w.ways(cell);
+        if ways.is_empty() {
+            w.undo(log.into_iter());
+            return Err(cell);
         }
+        log.push(w.accrete(cell));
+        added.push((cell, ways));
     }
     Ok(added)
 }

@@ -8,16 +8,22 @@
 //! asks for a carrier under a tree.
 
 use super::bottleneck::Bottleneck;
-use super::operation::Orientation;
-use super::workpiece::{Cell, Workpiece};
+use super::workpiece::{Cell, Ways, Workpiece};
 use std::collections::BinaryHeap;
 
 /// A tree longer than this many layers is worth looking for only when shorter ones fail.
-const DEPTHS: [i32; 3] = [12, 60, i32::MAX];
+const DEPTHS: &[i32] = &[12, 60, i32::MAX];
 
 /// Ends of one layer that are drawn to each other; the cost is quadratic in them. Below, trunks
 /// that could merge stay apart; above, crowded layers take long while coverage merges them anyway.
 const DRAWN_ENDS: usize = 160;
+
+/// Price of a support cell that carries nothing else.
+const CELL: u32 = 12;
+const BARE: u32 = 6;
+
+/// Cells that a ledge is worth.
+const LEDGE: u32 = 0;
 
 const UNREACHED: u32 = u32::MAX;
 
@@ -35,6 +41,11 @@ struct Node {
     cost: u32,
     /// The node that carries this one once chosen; itself for a landing.
     carrier: u32,
+    price: u32,
+    /// On the base or over grounded material.
+    lands: bool,
+    /// Hangs sideways on grounded material.
+    ledge: bool,
     /// Carries a demand itself.
     tip: bool,
     useful: bool,
@@ -74,6 +85,17 @@ pub(super) fn carried(w: &Workpiece, b: &Bottleneck, cell: Cell) -> bool {
     w.carriers(cell).into_iter().any(|c| b.grounded(c, w.top))
 }
 
+/// What a support cell costs: less when it also carries voxels of lower layers that nothing
+/// carries yet.
+fn price(w: &Workpiece, cell: Cell) -> u32 {
+    if w.height(cell) + 1 >= w.top {
+        return CELL;
+    }
+    let bare = |c: &Cell| w.solid(*c) && !w.carriers(*c).into_iter().any(|c| w.solid(c));
+    let served = w.carried_by(cell).iter().filter(|c| bare(c)).count() as u32;
+    CELL.saturating_sub(served * BARE).max(1)
+}
+
 /// The order of equals: of the cells for seed 0, else shuffled by the seed.
 fn scrambled(cell: u64, seed: u64) -> u64 {
     if seed == 0 {
@@ -96,10 +118,11 @@ impl Forest {
         w: &mut Workpiece,
         b: &mut Bottleneck,
         demands: &[Demand],
-    ) -> Vec<(Cell, Orientation)> {
+        deepest: i32,
+    ) -> Vec<(Cell, Ways)> {
         let mut open = demands.to_vec();
         let mut grown = Vec::new();
-        for depth in DEPTHS {
+        for depth in DEPTHS.iter().map(|d| *d.min(&deepest)) {
             let levels = self.explore(w, b, &open, depth);
             self.measure(w, &levels);
             let chosen = self.choose(w, &open, &levels);
@@ -119,6 +142,14 @@ impl Forest {
             }
         }
         grown
+    }
+
+    /// The empty cells to which a tree under the demands could lead.
+    pub fn reachable(&mut self, w: &Workpiece, b: &Bottleneck, demands: &[Demand]) -> Vec<Cell> {
+        self.explore(w, b, demands, 60);
+        let cells = self.nodes.iter().map(|n| n.cell).collect();
+        self.clear();
+        cells
     }
 
     /// Cells under the demands that the cutter reaches, by layer from the highest down.
@@ -166,13 +197,15 @@ impl Forest {
     }
 
     fn reach(&mut self, w: &Workpiece, b: &Bottleneck, cell: Cell) {
-        if self.place[cell as usize] != 0 || !w.empty(cell) || w.access(cell).is_none() {
+        if self.place[cell as usize] != 0 || !w.empty(cell) || !w.access(cell) {
             return;
         }
         let lands = w.height(cell) == 0 || carried(w, b, cell);
         let carrier = self.nodes.len() as u32;
-        let cost = if lands { 1 } else { UNREACHED };
-        self.nodes.push(Node { cell, cost, carrier, tip: false, useful: false });
+        let price = price(w, cell);
+        let cost = if lands { price } else { UNREACHED };
+        let ledge = LEDGE > 0 && !lands && w.neighbours(cell).into_iter().any(|n| b.grounded(n, w.top));
+        self.nodes.push(Node { cell, cost, price, lands, carrier, ledge, tip: false, useful: false });
         self.place[cell as usize] = carrier + 1;
     }
 
@@ -186,7 +219,12 @@ impl Forest {
             if self.nodes[i].cost == UNREACHED {
                 let best = self.rest(w, self.nodes[i].cell);
                 if best != UNREACHED {
-                    self.nodes[i].cost = best + 1;
+                    self.nodes[i].cost = best + self.nodes[i].price;
+                }
+                let node = &mut self.nodes[i];
+                node.ledge &= node.cost > node.price + LEDGE;
+                if node.ledge {
+                    node.cost = node.price + LEDGE;
                 }
             }
         }
@@ -212,7 +250,7 @@ impl Forest {
             for n in &chosen[fresh..] {
                 let node = &self.nodes[*n as usize];
                 // A landing is its own carrier.
-                if node.cost > 1 {
+                if !node.lands && !node.ledge {
                     ends.push(node.cell);
                 }
             }
@@ -294,21 +332,21 @@ impl Forest {
                 gain.covered += 1;
             }
         }
-        if node.cost > 1 && ends.len() <= DRAWN_ENDS {
+        if !node.lands && ends.len() <= DRAWN_ENDS {
             let [x, y, _] = w.voxel(node.cell);
             let away = ends.iter().filter(|e| !mine.contains(e)).map(|e| {
                 let [ex, ey, _] = w.voxel(*e);
                 (ex - x).abs() + (ey - y).abs()
             });
             // Ends further apart than their trunks are long never meet.
-            gain.away = -away.min().unwrap_or(0).min(2 * node.cost as i32);
+            gain.away = -away.min().unwrap_or(0).min(2 * (node.cost / CELL) as i32);
         }
         gain.tie = scrambled(u64::from(node.cell), self.seed);
         gain
     }
 
     /// Accretes the chosen cells from the bottom up, without those whose tree cannot be finished.
-    fn plant(&mut self, w: &mut Workpiece, chosen: &[u32]) -> Vec<(Cell, Orientation)> {
+    fn plant(&mut self, w: &mut Workpiece, chosen: &[u32]) -> Vec<(Cell, Ways)> {
         let mut order: Vec<(i32, i32, u32)> = Vec::with_capacity(chosen.len());
         for &n in chosen {
             let cell = self.nodes[n as usize].cell;
@@ -324,9 +362,10 @@ impl Forest {
                 let node = &self.nodes[n as usize];
                 let carrier = &self.nodes[node.carrier as usize];
                 let stands = node.carrier == n || w.solid(carrier.cell);
-                if let (true, Some(way)) = (stands, w.access(node.cell)) {
+                let ways = w.ways(node.cell);
+                if stands && !ways.is_empty() {
                     log.push(w.accrete(node.cell));
-                    added.push((node.cell, way));
+                    added.push((node.cell, ways));
                 }
             }
             if added.len() == wanted.len() {

@@ -10,10 +10,19 @@
 
 use super::bottleneck::Bottleneck;
 use super::detour;
+use super::ledge;
 use super::forest::{Demand, Forest, carried};
-use super::operation::{Deed, Orientation};
-use super::workpiece::{Cell, Workpiece};
+use super::workpiece::{Cell, Ways, Workpiece};
 use std::collections::BTreeSet;
+
+/// Cells that a layer of depth is worth to a way that leads sideways to the ground. A way just
+/// under the top layer wants carriers of its own at once, one at the tool's full reach only when
+/// the top has come down there. Lower, and sheets of support follow the top down; higher, and
+/// ways run deep that could have been short.
+const SERVED: u32 = 2;
+const DEEP: u32 = 0;
+const FIRST: i32 = 40;
+const SHALLOW: u32 = 2;
 
 /// The planner's whole state.
 pub(super) struct Nullifier {
@@ -21,11 +30,20 @@ pub(super) struct Nullifier {
     pub b: Bottleneck,
     pub forest: Forest,
     /// In the order of nullification: the reverse of fabrication.
-    pub deeds: Vec<(Cell, Deed)>,
+    pub deeds: Vec<(Cell, Undoing)>,
     /// M of INV Sec. 5.2: fewer connected voxels are eroded only when nothing else helps.
     pub minimum_feature: usize,
     /// Cluster of a cell plus one; 0 for none.
     label: Vec<u32>,
+}
+
+/// One operation of nullification.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Undoing {
+    /// Undoes an AM (Def. 3.1).
+    Eroded,
+    /// Undoes an SM in any of these orientations (Def. 3.2).
+    Accreted(Ways),
 }
 
 /// Nothing more can be done in a layer: the theorem of INV Sec. 3.3 says this does not happen.
@@ -61,6 +79,19 @@ impl Nullifier {
         Nullifier { w, b, forest, deeds: Vec::new(), minimum_feature, label }
     }
 
+    /// INV Sec. 4.2: trees for every voxel that nothing carries, as far as the cutter reaches them
+    /// in the whole model.
+    pub fn support_ahead(&mut self) {
+        let mut demands = Vec::new();
+        for z in 1..=self.w.top {
+            let bare = |c: &Cell| !self.w.carriers(*c).into_iter().any(|c| self.w.solid(c));
+            let bare = self.w.layer(z).into_iter().filter(bare);
+            demands.extend(bare.map(|cell| Demand { cell, group: 0 }));
+        }
+        let grown = self.forest.grow(&mut self.w, &mut self.b, &demands, i32::MAX);
+        self.record(&grown);
+    }
+
     /// Erodes the whole of layer `top`, the highest with material.
     pub fn strip(&mut self, top: i32) -> Result<(), Stuck> {
         self.w.top = top;
@@ -79,7 +110,13 @@ impl Nullifier {
             let clusters = self.clusters(&rest, &survey);
             let spared = self.erode_safe(&mut rest, &clusters, hasty);
             let demands = self.demands(&survey, &clusters);
-            let grown = self.forest.grow(&mut self.w, &mut self.b, &demands);
+            let mut grown = self.forest.grow(&mut self.w, &mut self.b, &demands, FIRST);
+            if grown.is_empty() {
+                grown = ledge::build(&mut self.w, &mut self.b, &survey.needy);
+            }
+            if grown.is_empty() {
+                grown = self.forest.grow(&mut self.w, &mut self.b, &demands, i32::MAX);
+            }
             self.record(&grown);
             if grown.is_empty() {
                 if spared && !hasty {
@@ -87,15 +124,32 @@ impl Nullifier {
                     hasty = true;
                     continue;
                 }
-                let sources = self.sources(&survey, &clusters);
+                let sources = self.sources(&survey, &clusters, &demands);
                 let way = detour::connect(&mut self.w, &mut self.b, &sources);
                 if way.is_empty() {
                     return Err(Stuck { layer: top, left: rest.len() });
                 }
                 self.record(&way);
+                if std::env::var("DBG").is_ok(){eprintln!("layer {top} rest {} needy {} hang {} way {} clusters {:?}", rest.len(), survey.needy.len(), clusters.hanging.len(), way.len(), clusters.anchors.len());}
             }
             hasty = false;
             self.unlabel(&clusters);
+        }
+    }
+
+    /// Erodes what of layer `top` is not to be kept, the last layer with anything to erode.
+    pub fn strip_to(&mut self, top: i32, keep: impl Fn(Cell) -> bool) -> Result<(), Stuck> {
+        self.w.top = top;
+        let mut rest = self.w.layer(top);
+        rest.retain(|c| !keep(*c));
+        let w = &self.w;
+        let bare = |c: &&Cell| top > 0 && !w.carriers(**c).into_iter().any(|c| w.solid(c));
+        match rest.iter().filter(bare).count() {
+            0 => {
+                self.erode(&rest);
+                Ok(())
+            }
+            left => Err(Stuck { layer: top, left }),
         }
     }
 
@@ -103,12 +157,12 @@ impl Nullifier {
         for &cell in cells {
             self.w.erode(cell);
             self.b.eroded(cell);
-            self.deeds.push((cell, Deed::Add));
+            self.deeds.push((cell, Undoing::Eroded));
         }
     }
 
-    pub fn record(&mut self, added: &[(Cell, Orientation)]) {
-        self.deeds.extend(added.iter().map(|(c, way)| (*c, Deed::Cut(*way))));
+    fn record(&mut self, added: &[(Cell, Ways)]) {
+        self.deeds.extend(added.iter().map(|(c, ways)| (*c, Undoing::Accreted(*ways))));
     }
 
     fn survey(&self, rest: &[Cell]) -> Survey {
@@ -267,16 +321,29 @@ impl Nullifier {
         needy.chain(tips).collect()
     }
 
-    /// Empty cells that would help if they were grounded.
-    fn sources(&self, survey: &Survey, clusters: &Clusters) -> Vec<Cell> {
-        let top = self.w.top;
-        let under = survey.needy.iter().flat_map(|c| self.w.carriers(*c));
-        let beside = clusters
-            .hanging
-            .iter()
-            .flat_map(|c| self.w.neighbours(*c))
-            .filter(|c| self.w.height(*c) < top);
-        let cells: BTreeSet<Cell> = under.chain(beside).filter(|c| self.w.empty(*c)).collect();
-        cells.into_iter().collect()
+    /// Empty cells from which a way to the ground would help, each with what it costs to begin
+    /// there: carriers of the needy, cells a tree could lead to, cells beside hanging material.
+    fn sources(
+        &mut self,
+        survey: &Survey,
+        clusters: &Clusters,
+        demands: &[Demand],
+    ) -> Vec<(Cell, u32)> {
+        let (w, top) = (&self.w, self.w.top);
+        let under = survey.needy.iter().flat_map(|c| w.carriers(*c));
+        let beside = clusters.hanging.iter().flat_map(|c| w.neighbours(*c));
+        let tree = self.forest.reachable(w, &self.b, demands);
+        let cells = under.chain(beside).chain(tree);
+        let cells: BTreeSet<Cell> =
+            cells.filter(|c| w.empty(*c) && w.height(*c) < top).collect();
+        let served = |c: Cell| {
+            let above = w.carried_by(c);
+            above.iter().filter(|c| w.solid(**c) && !carried(w, &self.b, **c)).count() as u32
+        };
+        let cost = |c: Cell| {
+            SHALLOW * (w.length.min(top) - (top - w.height(c))).max(0) as u32
+                + SERVED * (5 - served(c)) + DEEP * (top-w.height(c)) as u32
+        };
+        cells.into_iter().map(|c| (c, cost(c))).collect()
     }
 }

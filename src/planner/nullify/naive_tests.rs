@@ -1,7 +1,9 @@
 //! The forward rules of INV Sec. 2 to the letter, one operation at a time, with a flood fill
 //! after every cut: the reference every plan is held against.
 
-use super::{Deed, Operation, Options, Orientation, operations};
+use super::initial::from_initial;
+use super::{Options, operations};
+use crate::plan::{Deed, Operation, Orientation};
 use crate::base::Ctx;
 use crate::voxel::BitGrid;
 
@@ -80,6 +82,7 @@ pub(super) fn replay(
                 }
                 state.set(at, true);
             }
+            Deed::CutAnyhow => return bad("does not say how"),
             Deed::Cut(way) => {
                 if !state.get(at) {
                     return bad("is empty already");
@@ -106,6 +109,44 @@ fn check(target: &BitGrid, length: u32) {
         Ok(end) => assert_eq!(end, *target, "L = {length}, {voxels:?}"),
         Err(e) => panic!("{e}; L = {length}, {:?}: {voxels:?}", target.dims()),
     }
+}
+
+/// Plans from one random part to another; whether any of the first is kept.
+fn check_pair(initial: &BitGrid, target: &BitGrid, length: u32) -> Option<bool> {
+    let options = Options { length, ..Options::default() };
+    let (ops, kept) = from_initial(initial, target, &options, &Ctx::quiet()).ok()?;
+    match replay(initial.clone(), &ops, length) {
+        Ok(end) => assert_eq!(end, *target),
+        Err(e) => panic!("{e}; L = {length}, {:?}", target.dims()),
+    }
+    Some(kept > 0)
+}
+
+#[test]
+fn one_random_part_is_made_of_another() {
+    let (mut made, mut reused) = (0, 0);
+    for stream in 0..400u64 {
+        let dims = [4 + stream as usize % 5, 4 + stream as usize % 3, 3 + stream as usize % 4];
+        let fill = |i| random_stable(dims, 55 + 10 * (stream % 4), 2 * stream + i);
+        if let Some(kept) = check_pair(&fill(0), &fill(1), 2 + (stream % 4) as u32) {
+            made += 1;
+            reused += usize::from(kept);
+        }
+    }
+    assert!(made > 300 && reused > 100, "{made} {reused}");
+}
+
+#[test]
+fn what_cannot_be_made_is_refused_with_the_reason() {
+    let said = |target: &BitGrid, length| {
+        let options = Options { length, ..Options::default() };
+        operations(target, &options, &Ctx::quiet()).unwrap_err().to_string()
+    };
+    let cube = BitGrid::from_fn([2, 2, 2], |_| true);
+    assert!(said(&cube, 1).contains("L = 1"));
+    assert!(said(&BitGrid::new([2, 2, 2]), 10).contains("empty"));
+    let corner = BitGrid::from_fn([2, 2, 2], |v| v == [0, 0, 0] || v == [1, 1, 1]);
+    assert!(said(&corner, 10).contains("1 of its 2 voxels"), "{}", said(&corner, 10));
 }
 
 fn solid_of(dims: [usize; 3], bits: u64) -> BitGrid {

@@ -5,7 +5,7 @@
 //! therefore kept for layers below K alone, where they only ever widen; column tops and bounds
 //! are exact.
 
-use super::operation::Orientation;
+use crate::plan::Orientation;
 use crate::voxel::BitGrid;
 
 /// A voxel of the padded grid: one layer of [`OUTSIDE`] around the domain.
@@ -15,6 +15,26 @@ pub(super) const EMPTY: u8 = 0;
 pub(super) const SOLID: u8 = 1;
 /// Beyond the domain: never solid, never to be filled.
 pub(super) const OUTSIDE: u8 = 2;
+
+/// A set of orientations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Ways(u8);
+
+impl Ways {
+    pub const ALL: Ways = Ways(0b11111);
+
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    pub fn and(self, other: Ways) -> Ways {
+        Ways(self.0 & other.0)
+    }
+
+    pub fn any(self) -> Option<Orientation> {
+        Orientation::ALL.into_iter().enumerate().find(|(i, _)| self.0 >> i & 1 == 1).map(|o| o.1)
+    }
+}
 
 pub(super) struct Workpiece {
     dims: [i32; 3],
@@ -27,11 +47,13 @@ pub(super) struct Workpiece {
     x_ends: Vec<(i32, i32)>,
     /// First and last solid y of the rows (x, z).
     y_ends: Vec<(i32, i32)>,
-    slabs: [Slabs; 2],
+    slabs: [Slabs; 3],
     /// K: the highest layer with solid voxels, as the layer loop sets it.
     pub top: i32,
     /// L in voxels.
     pub length: i32,
+    /// No voxel below this layer is accreted: what stands there is reused as it is.
+    pub floor: i32,
 }
 
 /// How many voxels each slab across one axis holds, and which slabs are the outermost.
@@ -47,7 +69,7 @@ pub(super) struct Undo {
     top: i32,
     x_ends: (i32, i32),
     y_ends: (i32, i32),
-    bounds: [(i32, i32); 2],
+    bounds: [(i32, i32); 3],
 }
 
 impl Slabs {
@@ -89,8 +111,9 @@ impl Workpiece {
             tops: vec![-1; nx * ny],
             x_ends: vec![(nx as i32, -1); ny * nz],
             y_ends: vec![(ny as i32, -1); nx * nz],
-            slabs: [Slabs::new(nx), Slabs::new(ny)],
+            slabs: [Slabs::new(nx), Slabs::new(ny), Slabs::new(nz)],
             top: -1,
+            floor: 0,
             length: i32::try_from(length).unwrap_or(i32::MAX / 2).min(i32::MAX / 2),
         };
         for z in 0..nz {
@@ -155,7 +178,7 @@ impl Workpiece {
     /// all.
     pub fn depth(&self, cell: Cell) -> i32 {
         let [x, y, _] = self.voxel(cell);
-        match self.access(cell) {
+        match self.ways(cell).any() {
             None | Some(Orientation::Down) => 0,
             Some(Orientation::PlusX) => x + 1,
             Some(Orientation::MinusX) => self.dims[0] - x,
@@ -201,29 +224,31 @@ impl Workpiece {
         ]
     }
 
-    /// An orientation in which the cutter could remove `cell`, were it solid (Def. 2.4): its row
+    /// The orientations in which the cutter could remove `cell`, solid or not (Def. 2.4): its row
     /// is free on the tool's side and nothing lies beyond the tool's length.
-    pub fn access(&self, cell: Cell) -> Option<Orientation> {
-        let [x, y, z] = self.voxel(cell);
+    pub fn ways(&self, cell: Cell) -> Ways {
+        let v @ [x, y, z] = self.voxel(cell);
+        if z < self.floor {
+            return Ways(0);
+        }
         let [nx, ny, _] = self.dims;
-        if self.tops[(x + nx * y) as usize] < z && self.top < z + self.length {
-            return Some(Orientation::Down);
-        }
+        let mut ways = u8::from(self.from_above(v));
         let (first, last) = self.x_ends[(y + ny * z) as usize];
-        if x < first && self.slabs[0].first > x - self.length {
-            return Some(Orientation::PlusX);
-        }
-        if x > last && self.slabs[0].last < x + self.length {
-            return Some(Orientation::MinusX);
-        }
+        ways |= u8::from(x <= first && self.slabs[0].first > x - self.length) << 1;
+        ways |= u8::from(x >= last && self.slabs[0].last < x + self.length) << 2;
         let (first, last) = self.y_ends[(x + nx * z) as usize];
-        if y < first && self.slabs[1].first > y - self.length {
-            return Some(Orientation::PlusY);
-        }
-        if y > last && self.slabs[1].last < y + self.length {
-            return Some(Orientation::MinusY);
-        }
-        None
+        ways |= u8::from(y <= first && self.slabs[1].first > y - self.length) << 3;
+        ways |= u8::from(y >= last && self.slabs[1].last < y + self.length) << 4;
+        Ways(ways)
+    }
+
+    /// Whether the cutter could remove `cell` in any orientation.
+    pub fn access(&self, cell: Cell) -> bool {
+        !self.ways(cell).is_empty()
+    }
+
+    fn from_above(&self, [x, y, z]: [i32; 3]) -> bool {
+        self.tops[(x + self.dims[0] * y) as usize] <= z && self.top < z + self.length
     }
 
     /// Whether `cell` lies just under the top layer and the cutter reaches it whatever else is
@@ -243,8 +268,9 @@ impl Workpiece {
         let widen = |ends: &mut (i32, i32), at: i32| *ends = (ends.0.min(at), ends.1.max(at));
         widen(&mut self.x_ends[(y + ny * z) as usize], x);
         widen(&mut self.y_ends[(x + nx * z) as usize], y);
-        self.slabs[0].add(x);
-        self.slabs[1].add(y);
+        for (slabs, at) in self.slabs.iter_mut().zip([x, y, z]) {
+            slabs.add(at);
+        }
     }
 
     /// Makes `cell` solid.
@@ -256,7 +282,7 @@ impl Workpiece {
             top: self.tops[(x + nx * y) as usize],
             x_ends: self.x_ends[(y + ny * z) as usize],
             y_ends: self.y_ends[(x + nx * z) as usize],
-            bounds: [0, 1].map(|a| (self.slabs[a].first, self.slabs[a].last)),
+            bounds: [0, 1, 2].map(|a| (self.slabs[a].first, self.slabs[a].last)),
         };
         self.insert(cell, v);
         undo
@@ -271,8 +297,8 @@ impl Workpiece {
             self.tops[(x + nx * y) as usize] = u.top;
             self.x_ends[(y + ny * z) as usize] = u.x_ends;
             self.y_ends[(x + nx * z) as usize] = u.y_ends;
-            for (slabs, (at, bounds)) in self.slabs.iter_mut().zip([x, y].into_iter().zip(u.bounds))
-            {
+            let at = [x, y, z].into_iter().zip(u.bounds);
+            for (slabs, (at, bounds)) in self.slabs.iter_mut().zip(at) {
                 slabs.counts[at as usize] -= 1;
                 (slabs.first, slabs.last) = bounds;
             }
@@ -290,8 +316,35 @@ impl Workpiece {
             top -= 1;
         }
         self.tops[(x + self.dims[0] * y) as usize] = top;
-        self.slabs[0].remove(x);
-        self.slabs[1].remove(y);
+        for (slabs, at) in self.slabs.iter_mut().zip([x, y, z]) {
+            slabs.remove(at);
+        }
+    }
+
+    /// Empties any voxel and keeps column tops, row ends and the top layer exact.
+    pub fn remove(&mut self, cell: Cell) {
+        self.erode_any(cell);
+        let [x, y, z] = self.voxel(cell);
+        let [nx, ny, _] = self.dims;
+        let row = self.cell([0, y, z]);
+        let at = (y + ny * z) as usize;
+        self.x_ends[at] = shrunk(self.x_ends[at], x, nx, |i| self.solid(row + i as Cell));
+        let first = self.cell([x, 0, z]);
+        let at = (x + nx * z) as usize;
+        let step = self.stride[0];
+        let solid = |i: i32| self.solid((first as i32 + i * step) as Cell);
+        self.y_ends[at] = shrunk(self.y_ends[at], y, ny, solid);
+        self.top = self.slabs[2].last;
+    }
+
+    fn erode_any(&mut self, cell: Cell) {
+        let [x, y, z] = self.voxel(cell);
+        let column = (x + self.dims[0] * y) as usize;
+        let top = self.tops[column];
+        self.erode(cell);
+        if top > z {
+            self.tops[column] = top;
+        }
     }
 
     /// The solid cells of layer z, row by row, every other row backward.
@@ -309,4 +362,20 @@ impl Workpiece {
         }
         cells
     }
+}
+
+/// The ends of a row of `n` after the voxel at `gone` went.
+fn shrunk(ends: (i32, i32), gone: i32, n: i32, solid: impl Fn(i32) -> bool) -> (i32, i32) {
+    let (mut first, mut last) = ends;
+    if gone == first {
+        while first <= last && !solid(first) {
+            first += 1;
+        }
+    }
+    if gone == last {
+        while last >= first && !solid(last) {
+            last -= 1;
+        }
+    }
+    if first > last { (n, -1) } else { (first, last) }
 }

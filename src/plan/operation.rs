@@ -1,3 +1,5 @@
+//! Operations on single voxels: what nullification plans in, finer than steps.
+
 use crate::base::Direction;
 
 /// The five orientations of the cutter (INV Prerequisite 2.2), named by the way the tool feeds.
@@ -48,6 +50,8 @@ pub enum Deed {
     Add,
     /// SM (Def. 2.6).
     Cut(Orientation),
+    /// SM in whichever orientation will do; a schedule file does not say which.
+    CutAnyhow,
 }
 
 /// One operation on one voxel.
