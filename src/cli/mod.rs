@@ -44,7 +44,7 @@ pub fn main() -> ExitCode {
 fn run(cli: Cli) -> Result<Exit, Failure> {
     match cli.command {
         Command::Plan(args) => plan::run(&config::resolve(&args)?, &cli.output),
-        Command::Verify(args) => verify::run(&args.dir, &cli.output),
+        Command::Verify(args) => verify::run(&args.dir, args.schedule.as_deref(), &cli.output),
         Command::Machine { action } => profiles::machine(&action),
         Command::Tool { action } => profiles::tool(&action),
         Command::Completions { shell } => completions(shell),

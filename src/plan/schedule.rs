@@ -41,8 +41,8 @@ impl Schedule {
         let mut times = vec![[0u32; 2]; dims.iter().product()];
         for (t, op) in operations.iter().enumerate() {
             let [x, y, z] = op.voxel.map(usize::from);
-            let slot = &mut times[x + dims[0] * (y + dims[1] * z)]
-                [usize::from(op.deed != Deed::Add)];
+            let slot =
+                &mut times[x + dims[0] * (y + dims[1] * z)][usize::from(op.deed != Deed::Add)];
             if *slot != 0 {
                 return Err(ScheduleError::Repeated { voxel: op.voxel });
             }

@@ -32,8 +32,8 @@ mod tests;
 mod tiplattice;
 mod verdict;
 
-pub use operations::{OperationFault, verify_operations};
 pub use end::{Measures, Place, Residual};
+pub use operations::{OperationFault, verify_operations};
 pub use verdict::{Rule, RuleResult, Verdict, Verified};
 
 use crate::base::{Cancelled, Ctx};

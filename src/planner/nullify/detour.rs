@@ -41,8 +41,7 @@ pub(super) fn connect(
 ) -> Vec<(Cell, Ways)> {
     let mut barred: Vec<Cell> = Vec::new();
     for _ in 0..ATTEMPTS {
-        let usable =
-            |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
+        let usable = |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
         let Some(way) = search(w, b, sources, usable) else { break };
         match build(w, &way) {
             Ok(added) => {

@@ -204,8 +204,18 @@ impl Forest {
         let carrier = self.nodes.len() as u32;
         let price = price(w, cell);
         let cost = if lands { price } else { UNREACHED };
-        let ledge = LEDGE > 0 && !lands && w.neighbours(cell).into_iter().any(|n| b.grounded(n, w.top));
-        self.nodes.push(Node { cell, cost, price, lands, carrier, ledge, tip: false, useful: false });
+        let ledge =
+            LEDGE > 0 && !lands && w.neighbours(cell).into_iter().any(|n| b.grounded(n, w.top));
+        self.nodes.push(Node {
+            cell,
+            cost,
+            price,
+            lands,
+            carrier,
+            ledge,
+            tip: false,
+            useful: false,
+        });
         self.place[cell as usize] = carrier + 1;
     }
 
@@ -292,10 +302,8 @@ impl Forest {
             .collect();
         candidates.sort_unstable();
         candidates.dedup();
-        let mut heap: BinaryHeap<(Gain, u32)> = candidates
-            .into_iter()
-            .map(|n| (self.gain(w, n, ends, &rests, &open), n))
-            .collect();
+        let mut heap: BinaryHeap<(Gain, u32)> =
+            candidates.into_iter().map(|n| (self.gain(w, n, ends, &rests, &open), n)).collect();
         while let Some((gain, n)) = heap.pop() {
             let now = self.gain(w, n, ends, &rests, &open);
             if now.covered == 0 {

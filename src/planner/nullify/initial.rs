@@ -80,7 +80,9 @@ pub(super) fn from_initial(
     let mut layer = Some(target.dims()[2]);
     while let Some(most) = layer {
         let (floor, kept) = largest_below(&common, target, most);
-        if let Some(operations) = through(initial, target, &Kept { floor, solid: &kept }, options, ctx)? {
+        if let Some(operations) =
+            through(initial, target, &Kept { floor, solid: &kept }, options, ctx)?
+        {
             return Ok((operations, kept.count()));
         }
         layer = floor.checked_sub(1);
@@ -137,11 +139,8 @@ fn largest_below(common: &BitGrid, target: &BitGrid, layer: usize) -> (usize, Bi
 fn freed(initial: &BitGrid, kept: &BitGrid, options: &Options) -> Option<Vec<Operation>> {
     let mut w = Workpiece::new(initial, options.length);
     let distance = distances(&w, initial, kept)?;
-    let mut left: Vec<Cell> = initial
-        .minus(kept)
-        .iter_ones()
-        .map(|v| w.cell(v.map(|c| c as i32)))
-        .collect();
+    let mut left: Vec<Cell> =
+        initial.minus(kept).iter_ones().map(|v| w.cell(v.map(|c| c as i32))).collect();
     // What is furthest from V_R goes first, the highest of equals.
     left.sort_unstable_by_key(|c| (std::cmp::Reverse(distance[*c as usize]), *c));
     let mut operations = Vec::with_capacity(left.len());
@@ -165,9 +164,10 @@ fn freed(initial: &BitGrid, kept: &BitGrid, options: &Options) -> Option<Vec<Ope
 /// Whether every neighbour that is further keeps another that is nearer than itself.
 fn spare(w: &Workpiece, distance: &[u32], cell: Cell) -> bool {
     let d = |c: Cell| distance[c as usize];
-    w.neighbours(cell).into_iter().filter(|n| w.solid(*n) && d(*n) > d(cell)).all(|n| {
-        w.neighbours(n).into_iter().any(|m| m != cell && w.solid(m) && d(m) < d(n))
-    })
+    w.neighbours(cell)
+        .into_iter()
+        .filter(|n| w.solid(*n) && d(*n) > d(cell))
+        .all(|n| w.neighbours(n).into_iter().any(|m| m != cell && w.solid(m) && d(m) < d(n)))
 }
 
 /// Breadth-first distance from `kept` and the base layer; none when something hangs on neither.

@@ -10,8 +10,8 @@
 
 use super::bottleneck::Bottleneck;
 use super::detour;
-use super::ledge;
 use super::forest::{Demand, Forest, carried};
+use super::ledge;
 use super::workpiece::{Cell, Ways, Workpiece};
 use std::collections::BTreeSet;
 
@@ -130,7 +130,16 @@ impl Nullifier {
                     return Err(Stuck { layer: top, left: rest.len() });
                 }
                 self.record(&way);
-                if std::env::var("DBG").is_ok(){eprintln!("layer {top} rest {} needy {} hang {} way {} clusters {:?}", rest.len(), survey.needy.len(), clusters.hanging.len(), way.len(), clusters.anchors.len());}
+                if std::env::var("DBG").is_ok() {
+                    eprintln!(
+                        "layer {top} rest {} needy {} hang {} way {} clusters {:?}",
+                        rest.len(),
+                        survey.needy.len(),
+                        clusters.hanging.len(),
+                        way.len(),
+                        clusters.anchors.len()
+                    );
+                }
             }
             hasty = false;
             self.unlabel(&clusters);
@@ -334,15 +343,15 @@ impl Nullifier {
         let beside = clusters.hanging.iter().flat_map(|c| w.neighbours(*c));
         let tree = self.forest.reachable(w, &self.b, demands);
         let cells = under.chain(beside).chain(tree);
-        let cells: BTreeSet<Cell> =
-            cells.filter(|c| w.empty(*c) && w.height(*c) < top).collect();
+        let cells: BTreeSet<Cell> = cells.filter(|c| w.empty(*c) && w.height(*c) < top).collect();
         let served = |c: Cell| {
             let above = w.carried_by(c);
             above.iter().filter(|c| w.solid(**c) && !carried(w, &self.b, **c)).count() as u32
         };
         let cost = |c: Cell| {
             SHALLOW * (w.length.min(top) - (top - w.height(c))).max(0) as u32
-                + SERVED * (5 - served(c)) + DEEP * (top-w.height(c)) as u32
+                + SERVED * (5 - served(c))
+                + DEEP * (top - w.height(c)) as u32
         };
         cells.into_iter().map(|c| (c, cost(c))).collect()
     }

@@ -12,11 +12,7 @@ use std::collections::BinaryHeap;
 
 /// Builds the ledges that carry the greatest number of `needy` voxels any ledge can carry; what
 /// was accreted, in order.
-pub(super) fn build(
-    w: &mut Workpiece,
-    b: &mut Bottleneck,
-    needy: &[Cell],
-) -> Vec<(Cell, Ways)> {
+pub(super) fn build(w: &mut Workpiece, b: &mut Bottleneck, needy: &[Cell]) -> Vec<(Cell, Ways)> {
     let mut heap: BinaryHeap<(usize, usize, Cell)> = BinaryHeap::new();
     let mut candidates: Vec<Cell> = needy.iter().flat_map(|c| w.carriers(*c)).collect();
     candidates.sort_unstable();
@@ -69,7 +65,5 @@ fn shared(w: &Workpiece, cell: Cell) -> usize {
 
 /// Whether the cell can be accreted beside grounded material.
 fn hangs(w: &Workpiece, b: &Bottleneck, cell: Cell) -> bool {
-    w.empty(cell)
-        && w.neighbours(cell).into_iter().any(|n| b.grounded(n, w.top))
-        && w.access(cell)
+    w.empty(cell) && w.neighbours(cell).into_iter().any(|n| b.grounded(n, w.top)) && w.access(cell)
 }

@@ -3,8 +3,8 @@
 
 use super::initial::from_initial;
 use super::{Options, operations};
-use crate::plan::{Deed, Operation, Orientation};
 use crate::base::Ctx;
+use crate::plan::{Deed, Operation, Orientation};
 use crate::voxel::BitGrid;
 
 type P = [i64; 3];

@@ -42,7 +42,8 @@ pub(super) fn steps(job: &Job, sequence: &Sequence) -> Result<Plan, PlanError> {
         };
         let mut region = BitGrid::new(dims);
         for op in run {
-            region.set(std::array::from_fn(|a| sequence.corner[a] + usize::from(op.voxel[a])), true);
+            region
+                .set(std::array::from_fn(|a| sequence.corner[a] + usize::from(op.voxel[a])), true);
         }
         let block = &mut blocks[usize::from(kind == StepKind::Additive)];
         steps.push(Step {
