@@ -22,9 +22,6 @@ const DRAWN_ENDS: usize = 160;
 const CELL: u32 = 12;
 const BARE: u32 = 6;
 
-/// Cells that a ledge is worth.
-const LEDGE: u32 = 0;
-
 const UNREACHED: u32 = u32::MAX;
 
 /// Scratch space for all forests of one plan.
@@ -41,11 +38,8 @@ struct Node {
     cost: u32,
     /// The node that carries this one once chosen; itself for a landing.
     carrier: u32,
-    price: u32,
     /// On the base or over grounded material.
     lands: bool,
-    /// Hangs sideways on grounded material.
-    ledge: bool,
     /// Carries a demand itself.
     tip: bool,
     useful: bool,
@@ -202,20 +196,8 @@ impl Forest {
         }
         let lands = w.height(cell) == 0 || carried(w, b, cell);
         let carrier = self.nodes.len() as u32;
-        let price = price(w, cell);
-        let cost = if lands { price } else { UNREACHED };
-        let ledge =
-            LEDGE > 0 && !lands && w.neighbours(cell).into_iter().any(|n| b.grounded(n, w.top));
-        self.nodes.push(Node {
-            cell,
-            cost,
-            price,
-            lands,
-            carrier,
-            ledge,
-            tip: false,
-            useful: false,
-        });
+        let cost = if lands { price(w, cell) } else { UNREACHED };
+        self.nodes.push(Node { cell, cost, lands, carrier, tip: false, useful: false });
         self.place[cell as usize] = carrier + 1;
     }
 
@@ -229,12 +211,7 @@ impl Forest {
             if self.nodes[i].cost == UNREACHED {
                 let best = self.rest(w, self.nodes[i].cell);
                 if best != UNREACHED {
-                    self.nodes[i].cost = best + self.nodes[i].price;
-                }
-                let node = &mut self.nodes[i];
-                node.ledge &= node.cost > node.price + LEDGE;
-                if node.ledge {
-                    node.cost = node.price + LEDGE;
+                    self.nodes[i].cost = best + price(w, self.nodes[i].cell);
                 }
             }
         }
@@ -260,7 +237,7 @@ impl Forest {
             for n in &chosen[fresh..] {
                 let node = &self.nodes[*n as usize];
                 // A landing is its own carrier.
-                if !node.lands && !node.ledge {
+                if !node.lands {
                     ends.push(node.cell);
                 }
             }

@@ -13,7 +13,7 @@ use super::detour;
 use super::forest::{Demand, Forest, carried};
 use super::ledge;
 use super::workpiece::{Cell, Ways, Workpiece};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 
 /// Cells that a layer of depth is worth to a way that leads sideways to the ground. A way just
 /// under the top layer wants carriers of its own at once, one at the tool's full reach only when
@@ -101,6 +101,9 @@ impl Nullifier {
             return Ok(());
         }
         let mut hasty = false;
+        // Demands that found no tree although the cutter reaches under them: asked again only when
+        // nothing else helps, since what would help them lies deep and rarely changes.
+        let mut vain: HashSet<Cell> = HashSet::new();
         loop {
             let survey = self.survey(&rest);
             if survey.needy.is_empty() && survey.hanging.is_empty() {
@@ -110,7 +113,12 @@ impl Nullifier {
             let clusters = self.clusters(&rest, &survey);
             let spared = self.erode_safe(&mut rest, &clusters, hasty);
             let demands = self.demands(&survey, &clusters);
-            let mut grown = self.forest.grow(&mut self.w, &mut self.b, &demands, FIRST);
+            let hopeful: Vec<Demand> =
+                demands.iter().filter(|d| !vain.contains(&d.cell)).copied().collect();
+            let mut grown = self.forest.grow(&mut self.w, &mut self.b, &hopeful, FIRST);
+            let w = &self.w;
+            let reached = |c: Cell| w.carriers(c).into_iter().any(|c| w.empty(c) && w.access(c));
+            vain.extend(hopeful.iter().map(|d| d.cell).filter(|c| reached(*c)));
             if grown.is_empty() {
                 grown = ledge::build(&mut self.w, &mut self.b, &survey.needy);
             }
@@ -130,16 +138,6 @@ impl Nullifier {
                     return Err(Stuck { layer: top, left: rest.len() });
                 }
                 self.record(&way);
-                if std::env::var("DBG").is_ok() {
-                    eprintln!(
-                        "layer {top} rest {} needy {} hang {} way {} clusters {:?}",
-                        rest.len(),
-                        survey.needy.len(),
-                        clusters.hanging.len(),
-                        way.len(),
-                        clusters.anchors.len()
-                    );
-                }
             }
             hasty = false;
             self.unlabel(&clusters);

@@ -244,7 +244,20 @@ impl Workpiece {
 
     /// Whether the cutter could remove `cell` in any orientation.
     pub fn access(&self, cell: Cell) -> bool {
-        !self.ways(cell).is_empty()
+        let v @ [x, y, z] = self.voxel(cell);
+        if z < self.floor {
+            return false;
+        }
+        if self.from_above(v) {
+            return true;
+        }
+        let [nx, ny, _] = self.dims;
+        let x_ends = self.x_ends[(y + ny * z) as usize];
+        let y_ends = self.y_ends[(x + nx * z) as usize];
+        (x <= x_ends.0 && self.slabs[0].first > x - self.length)
+            || (x >= x_ends.1 && self.slabs[0].last < x + self.length)
+            || (y <= y_ends.0 && self.slabs[1].first > y - self.length)
+            || (y >= y_ends.1 && self.slabs[1].last < y + self.length)
     }
 
     fn from_above(&self, [x, y, z]: [i32; 3]) -> bool {
