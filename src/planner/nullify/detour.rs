@@ -39,6 +39,23 @@ pub(super) fn connect(
     b: &mut Bottleneck,
     sources: &[(Cell, u32)],
 ) -> Vec<(Cell, Ways)> {
+    let added = connect_free(w, b, sources);
+    if !added.is_empty() {
+        return added;
+    }
+    let usable = |w: &Workpiece, c| w.empty(c) && w.always_open(c);
+    let way = search(w, b, sources, usable).unwrap_or_default();
+    let added = build(w, &way).unwrap_or_default();
+    b.accreted(w, &way[..added.len()]);
+    added
+}
+
+/// The same with no guarantee: nothing when no way is found or each one bars itself.
+pub(super) fn connect_free(
+    w: &mut Workpiece,
+    b: &mut Bottleneck,
+    sources: &[(Cell, u32)],
+) -> Vec<(Cell, Ways)> {
     let mut barred: Vec<Cell> = Vec::new();
     for _ in 0..ATTEMPTS {
         let usable = |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
@@ -51,11 +68,7 @@ pub(super) fn connect(
             Err(cell) => barred.push(cell),
         }
     }
-    let usable = |w: &Workpiece, c| w.empty(c) && w.always_open(c);
-    let way = search(w, b, sources, usable).unwrap_or_default();
-    let added = build(w, &way).unwrap_or_default();
-    b.accreted(w, &way[..added.len()]);
-    added
+    Vec::new()
 }
 
 /// The cheapest way, from the ground to the source.

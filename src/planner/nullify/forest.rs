@@ -11,16 +11,27 @@ use super::bottleneck::Bottleneck;
 use super::workpiece::{Cell, Ways, Workpiece};
 use std::collections::BinaryHeap;
 
-/// A tree longer than this many layers is worth looking for only when shorter ones fail.
-const DEPTHS: &[i32] = &[12, 60, i32::MAX];
+/// Layers to which trees are looked for, the next depth only for what the one before left.
+/// Shallow first saves exploring cones down to the base under demands that land close by.
+const DEPTHS: [i32; 3] = [12, 60, i32::MAX];
 
 /// Ends of one layer that are drawn to each other; the cost is quadratic in them. Below, trunks
 /// that could merge stay apart; above, crowded layers take long while coverage merges them anyway.
 const DRAWN_ENDS: usize = 160;
 
-/// Price of a support cell that carries nothing else.
+/// Price of a support cell that carries nothing else, and how much less it is for each voxel of a
+/// lower layer that it carries and nothing else does. Measured: half a cell a voxel gives fewest
+/// supports; at nothing, trees pass by what will want support next, at more they wander to it.
 const CELL: u32 = 12;
 const BARE: u32 = 6;
+
+/// Price of an end in the air, and of each layer it hangs above the tool's full reach. An end costs
+/// a way of several cells; cheaper, and trunks do not merge before they end.
+const HANGING: u32 = 60;
+const SHALLOW: u32 = 50;
+
+/// Layers down to which ends in the air are looked for: beyond, the cutter seldom reaches.
+const REACH: i32 = 40;
 
 const UNREACHED: u32 = u32::MAX;
 
@@ -40,6 +51,8 @@ struct Node {
     carrier: u32,
     /// On the base or over grounded material.
     lands: bool,
+    /// Ends in the air.
+    hangs: bool,
     /// Carries a demand itself.
     tip: bool,
     useful: bool,
@@ -116,7 +129,7 @@ impl Forest {
     ) -> Vec<(Cell, Ways)> {
         let mut open = demands.to_vec();
         let mut grown = Vec::new();
-        for depth in DEPTHS.iter().map(|d| *d.min(&deepest)) {
+        for depth in DEPTHS.map(|d| d.min(deepest)) {
             let levels = self.explore(w, b, &open, depth);
             self.measure(w, &levels);
             let chosen = self.choose(w, &open, &levels);
@@ -131,7 +144,7 @@ impl Forest {
                 .map(|d| d.group)
                 .collect();
             open.retain(|d| !carried(w, b, d.cell) && !met.contains(&d.group));
-            if open.is_empty() || !levels.cut {
+            if open.is_empty() || !levels.cut || depth == deepest {
                 break;
             }
         }
@@ -140,10 +153,31 @@ impl Forest {
 
     /// The empty cells to which a tree under the demands could lead.
     pub fn reachable(&mut self, w: &Workpiece, b: &Bottleneck, demands: &[Demand]) -> Vec<Cell> {
-        self.explore(w, b, demands, 60);
+        self.explore(w, b, demands, DEPTHS[1]);
         let cells = self.nodes.iter().map(|n| n.cell).collect();
         self.clear();
         cells
+    }
+
+    /// Where trees for demands that no tree can ground would best end in the air: merged as far as
+    /// the cutter reaches, each end worth a way sideways to the ground.
+    pub fn hanging_ends(&mut self, w: &Workpiece, b: &Bottleneck, demands: &[Demand]) -> Vec<Cell> {
+        let levels = self.explore(w, b, demands, REACH);
+        for i in (0..self.nodes.len()).rev() {
+            if self.nodes[i].cost == UNREACHED {
+                let cell = self.nodes[i].cell;
+                let best = self.rest(w, cell);
+                self.nodes[i].hangs = best == UNREACHED;
+                let depth = (w.top - w.height(cell)).min(w.length);
+                let end = HANGING + SHALLOW * (w.length - depth) as u32;
+                self.nodes[i].cost = price(w, cell) + if best == UNREACHED { end } else { best };
+            }
+        }
+        let chosen = self.choose(w, demands, &levels);
+        let hanging = chosen.iter().map(|n| &self.nodes[*n as usize]).filter(|n| n.hangs);
+        let ends = hanging.map(|n| n.cell).collect();
+        self.clear();
+        ends
     }
 
     /// Cells under the demands that the cutter reaches, by layer from the highest down.
@@ -197,7 +231,15 @@ impl Forest {
         let lands = w.height(cell) == 0 || carried(w, b, cell);
         let carrier = self.nodes.len() as u32;
         let cost = if lands { price(w, cell) } else { UNREACHED };
-        self.nodes.push(Node { cell, cost, lands, carrier, tip: false, useful: false });
+        self.nodes.push(Node {
+            cell,
+            cost,
+            lands,
+            hangs: false,
+            carrier,
+            tip: false,
+            useful: false,
+        });
         self.place[cell as usize] = carrier + 1;
     }
 
@@ -237,7 +279,7 @@ impl Forest {
             for n in &chosen[fresh..] {
                 let node = &self.nodes[*n as usize];
                 // A landing is its own carrier.
-                if !node.lands {
+                if !node.lands && !node.hangs {
                     ends.push(node.cell);
                 }
             }

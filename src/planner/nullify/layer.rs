@@ -15,14 +15,20 @@ use super::ledge;
 use super::workpiece::{Cell, Ways, Workpiece};
 use std::collections::{BTreeSet, HashSet};
 
-/// Cells that a layer of depth is worth to a way that leads sideways to the ground. A way just
-/// under the top layer wants carriers of its own at once, one at the tool's full reach only when
-/// the top has come down there. Lower, and sheets of support follow the top down; higher, and
-/// ways run deep that could have been short.
-const SERVED: u32 = 2;
-const DEEP: u32 = 0;
+/// Layers down to which trees are looked for before ledges are built. Measured: with 12, ledges
+/// spread where long trees would do; without a limit, single deep trunks cost more than ledges.
 const FIRST: i32 = 40;
+
+/// Demands that a tree ending in the air must serve for each such end, on average. Fewer, and its
+/// way sideways costs more than ledges would; more, and sheets of ledges follow the top down.
+const FEWEST: usize = 4;
+
+/// What a way sideways to the ground costs to begin, in cells: for each layer it begins above the
+/// tool's full reach, since it wants carriers of its own as soon as the top comes down to it, and
+/// for each needy voxel less than five that it serves. Lower, and sheets of support follow the top
+/// down; higher, and ways run deep that could have been short.
 const SHALLOW: u32 = 2;
+const SERVED: u32 = 2;
 
 /// The planner's whole state.
 pub(super) struct Nullifier {
@@ -120,6 +126,9 @@ impl Nullifier {
             let reached = |c: Cell| w.carriers(c).into_iter().any(|c| w.empty(c) && w.access(c));
             vain.extend(hopeful.iter().map(|d| d.cell).filter(|c| reached(*c)));
             if grown.is_empty() {
+                grown = self.hang(&hopeful);
+            }
+            if grown.is_empty() {
                 grown = ledge::build(&mut self.w, &mut self.b, &survey.needy);
             }
             if grown.is_empty() {
@@ -170,6 +179,25 @@ impl Nullifier {
 
     fn record(&mut self, added: &[(Cell, Ways)]) {
         self.deeds.extend(added.iter().map(|(c, ways)| (*c, Undoing::Accreted(*ways))));
+    }
+
+    /// Trees for demands that none can ground from here: they end in the air as deep as the cutter
+    /// reaches, and ways lead from their ends sideways to the ground.
+    fn hang(&mut self, demands: &[Demand]) -> Vec<(Cell, Ways)> {
+        let ends = self.forest.hanging_ends(&self.w, &self.b, demands);
+        if ends.len() * FEWEST > demands.len() {
+            return Vec::new();
+        }
+        let mut grown = Vec::new();
+        for end in ends {
+            if self.w.empty(end) {
+                grown.extend(detour::connect_free(&mut self.w, &mut self.b, &[(end, 0)]));
+            }
+        }
+        if !grown.is_empty() {
+            grown.extend(self.forest.grow(&mut self.w, &mut self.b, demands, FIRST));
+        }
+        grown
     }
 
     fn survey(&self, rest: &[Cell]) -> Survey {
@@ -349,7 +377,6 @@ impl Nullifier {
         let cost = |c: Cell| {
             SHALLOW * (w.length.min(top) - (top - w.height(c))).max(0) as u32
                 + SERVED * (5 - served(c))
-                + DEEP * (top - w.height(c)) as u32
         };
         cells.into_iter().map(|c| (c, cost(c))).collect()
     }

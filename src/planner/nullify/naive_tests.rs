@@ -5,6 +5,7 @@ use super::initial::from_initial;
 use super::{Options, operations};
 use crate::base::Ctx;
 use crate::plan::{Deed, Operation, Orientation};
+use crate::verify::verify_operations;
 use crate::voxel::BitGrid;
 
 type P = [i64; 3];
@@ -147,6 +148,36 @@ fn what_cannot_be_made_is_refused_with_the_reason() {
     assert!(said(&BitGrid::new([2, 2, 2]), 10).contains("empty"));
     let corner = BitGrid::from_fn([2, 2, 2], |v| v == [0, 0, 0] || v == [1, 1, 1]);
     assert!(said(&corner, 10).contains("1 of its 2 voxels"), "{}", said(&corner, 10));
+}
+
+/// The fast replay and the naive one agree on plans with one operation swapped with its
+/// neighbour, dropped, doubled or turned.
+#[test]
+fn the_fast_replay_judges_mutations_as_the_naive_one_does() {
+    let (mut harmless, mut refused) = (0, 0);
+    for stream in 0..1_000u64 {
+        let dims = [4 + stream as usize % 4, 5, 4 + stream as usize % 3];
+        let target = random_stable(dims, 35 + 5 * (stream % 8), stream);
+        let (length, none) = (2 + (stream % 3) as u32, BitGrid::new(dims));
+        let options = Options { length, ..Options::default() };
+        let Ok(mut ops) = operations(&target, &options, &Ctx::quiet()) else { continue };
+        assert_eq!(verify_operations(&none, &target, &ops, length), Ok(()));
+        let at = random(stream, 1) as usize % (ops.len() - 1).max(1);
+        match (stream % 4, ops[at].deed) {
+            (0, _) if ops.len() > 1 => ops.swap(at, at + 1),
+            (1, _) => drop(ops.remove(at)),
+            (2, Deed::Cut(way)) => {
+                let other = Orientation::ALL.into_iter().find(|o| *o != way);
+                ops[at].deed = Deed::Cut(other.unwrap());
+            }
+            _ => ops.insert(at, ops[at]),
+        }
+        let naive = replay(none.clone(), &ops, length).is_ok_and(|end| end == target);
+        let fast = verify_operations(&none, &target, &ops, length);
+        assert_eq!(fast.is_ok(), naive, "{stream}: {fast:?}");
+        if naive { harmless += 1 } else { refused += 1 }
+    }
+    assert!(refused > 500 && harmless > 20, "{refused} {harmless}");
 }
 
 fn solid_of(dims: [usize; 3], bits: u64) -> BitGrid {
