@@ -37,7 +37,7 @@ pub struct OutputArgs {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Plan from an initial part to a target part
-    Plan(PlanArgs),
+    Plan(Box<PlanArgs>),
     /// Check a plan and its program, independently of what made them
     Verify(VerifyArgs),
     /// Accessible, inaccessible, collateral and support regions of a part

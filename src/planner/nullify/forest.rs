@@ -201,7 +201,7 @@ impl Forest {
                 next += 1;
             }
             let deepest = highest.saturating_sub(depth);
-            let closed = z + 1 <= deepest;
+            let closed = z < deepest;
             for i in from..until {
                 if self.nodes[i].cost != UNREACHED {
                     continue;

@@ -232,7 +232,7 @@ impl Workpiece {
             return Ways(0);
         }
         let [nx, ny, _] = self.dims;
-        let mut ways = u8::from(self.from_above(v));
+        let mut ways = u8::from(self.open_above(v));
         let (first, last) = self.x_ends[(y + ny * z) as usize];
         ways |= u8::from(x <= first && self.slabs[0].first > x - self.length) << 1;
         ways |= u8::from(x >= last && self.slabs[0].last < x + self.length) << 2;
@@ -248,7 +248,7 @@ impl Workpiece {
         if z < self.floor {
             return false;
         }
-        if self.from_above(v) {
+        if self.open_above(v) {
             return true;
         }
         let [nx, ny, _] = self.dims;
@@ -260,7 +260,7 @@ impl Workpiece {
             || (y >= y_ends.1 && self.slabs[1].last < y + self.length)
     }
 
-    fn from_above(&self, [x, y, z]: [i32; 3]) -> bool {
+    fn open_above(&self, [x, y, z]: [i32; 3]) -> bool {
         self.tops[(x + self.dims[0] * y) as usize] <= z && self.top < z + self.length
     }
 
