@@ -26,6 +26,9 @@ const ATTEMPTS: usize = 6;
 /// Cells looked at before a search gives up and the next begins.
 const MOST_VISITS: usize = 200_000;
 
+/// The same for a tree that ends in the air: a longer way is not worth the tree.
+pub(super) const NEAR_VISITS: usize = 3_000;
+
 struct Visit {
     cost: u32,
     /// The cell before, toward the source; itself for a source.
@@ -39,12 +42,12 @@ pub(super) fn connect(
     b: &mut Bottleneck,
     sources: &[(Cell, u32)],
 ) -> Vec<(Cell, Ways)> {
-    let added = connect_free(w, b, sources);
+    let added = connect_free(w, b, sources, MOST_VISITS);
     if !added.is_empty() {
         return added;
     }
     let usable = |w: &Workpiece, c| w.empty(c) && w.always_open(c);
-    let way = search(w, b, sources, usable).unwrap_or_default();
+    let way = search(w, b, sources, usize::MAX, usable).unwrap_or_default();
     let added = build(w, &way).unwrap_or_default();
     b.accreted(w, &way[..added.len()]);
     added
@@ -55,11 +58,12 @@ pub(super) fn connect_free(
     w: &mut Workpiece,
     b: &mut Bottleneck,
     sources: &[(Cell, u32)],
+    most_visits: usize,
 ) -> Vec<(Cell, Ways)> {
     let mut barred: Vec<Cell> = Vec::new();
     for _ in 0..ATTEMPTS {
         let usable = |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
-        let Some(way) = search(w, b, sources, usable) else { break };
+        let Some(way) = search(w, b, sources, most_visits, usable) else { break };
         match build(w, &way) {
             Ok(added) => {
                 b.accreted(w, &way);
@@ -76,6 +80,7 @@ fn search(
     w: &Workpiece,
     b: &Bottleneck,
     sources: &[(Cell, u32)],
+    most_visits: usize,
     usable: impl Fn(&Workpiece, Cell) -> bool,
 ) -> Option<Vec<Cell>> {
     let mut visits: HashMap<Cell, Visit> = HashMap::new();
@@ -93,7 +98,7 @@ fn search(
         }
         let known = visits.len();
         let visit = visits.get_mut(&cell)?;
-        if visit.done || known > MOST_VISITS {
+        if visit.done || known > most_visits {
             continue;
         }
         visit.done = true;

@@ -191,7 +191,12 @@ impl Nullifier {
         let mut grown = Vec::new();
         for end in ends {
             if self.w.empty(end) {
-                grown.extend(detour::connect_free(&mut self.w, &mut self.b, &[(end, 0)]));
+                grown.extend(detour::connect_free(
+                    &mut self.w,
+                    &mut self.b,
+                    &[(end, 0)],
+                    detour::NEAR_VISITS,
+                ));
             }
         }
         if !grown.is_empty() {
