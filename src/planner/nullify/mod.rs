@@ -4,18 +4,18 @@
 //!
 //! | symbol | meaning | here |
 //! |---|---|---|
-//! | M | state | [`workpiece`] |
+//! | M | state | `workpiece` |
 //! | 𝒩(v) | face and edge neighbours | `Workpiece::neighbours` |
 //! | 𝒯_A, 𝒯_S | occupancy of nozzle and cutter | `Workpiece::ways` |
 //! | L | cutter length in voxels | [`Options::length`] |
 //! | K | the top layer | `Workpiece::top` |
 //! | M (Sec. 5.2) | minimum feature | [`Options::minimum_feature`] |
 //!
-//! Stages: from the finished model backward, layer by layer from the top ([`layer`]); supports as
-//! trees ([`forest`]), ledges ([`ledge`]) and ways ([`detour`]); a non-empty beginning
-//! ([`initial`]); operations into steps ([`patches`]).
+//! Stages: from the finished model backward, layer by layer from the top (`layer`); supports as
+//! trees (`forest`), ledges (`ledge`) and ways (`detour`); a non-empty beginning
+//! (`initial`); operations into steps (`patches`).
 //!
-//! What differs from the paper: stability is exact for the whole model ([`bottleneck`]) instead of
+//! What differs from the paper: stability is exact for the whole model (`bottleneck`) instead of
 //! within a window Δ; a layer is eroded as far as it goes before supports are grown, since erosion
 //! opens the way for the cutter; supports are trees chosen by what they cover instead of rings.
 //!
