@@ -81,7 +81,6 @@ fn bad_flags_are_bad_usage() {
         (&["--sm-tool", "w2v-nozzle"], "no cutter"),
         (&["--am-tool", "w2v-nozzle", "--am-tool", "w2v-nozzle"], "twice"),
         (&["--planner", "search"], "planner search is not in version"),
-        (&["--planner", "nullify"], "planner nullify is not in version"),
         (&["--planner", "blocks"], "planner blocks is not in version"),
         (&["--nonsense"], "--nonsense"),
         (&["-q", "-v"], "cannot be used with"),

@@ -56,6 +56,11 @@ impl Ctx {
         if self.cancel.load(Ordering::Relaxed) { Err(Cancelled) } else { Ok(()) }
     }
 
+    /// Whether there is a time budget.
+    pub fn is_limited(&self) -> bool {
+        self.deadline.is_some()
+    }
+
     /// Whether the time budget is used up: a search then returns its best result so far.
     pub fn out_of_time(&self) -> bool {
         self.deadline.is_some_and(|d| Instant::now() >= d)

@@ -37,7 +37,7 @@ pub struct OutputArgs {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Plan from an initial part to a target part
-    Plan(PlanArgs),
+    Plan(Box<PlanArgs>),
     /// Check a plan and its program, independently of what made them
     Verify(VerifyArgs),
     /// Accessible, inaccessible, collateral and support regions of a part
@@ -62,7 +62,7 @@ pub enum Command {
 
 #[derive(Debug, Args)]
 pub struct PlanArgs {
-    /// The initial part and the target part (OBJ, STL, PLY, OFF or 3MF); a single part is the
+    /// The initial part and the target part (OBJ, STL, PLY, OFF, 3MF or voxel text .txt); a single part is the
     /// target, planned from an empty base
     #[arg(required = true, num_args = 1..=2, value_name = "INITIAL TARGET")]
     pub parts: Vec<PathBuf>,
@@ -93,6 +93,15 @@ pub struct PlanArgs {
     /// Seed of every random choice: same input and seed, same plan
     #[arg(long, default_value_t = 0, value_name = "N", help_heading = "Search")]
     pub seed: u64,
+    /// What planner nullify keeps small
+    #[arg(long, value_enum, default_value_t = ObjectiveArg::Supports, help_heading = "Search")]
+    pub objective: ObjectiveArg,
+    /// Cutter length of planner nullify in voxels, at least 2
+    #[arg(long, default_value_t = 10, value_name = "L", help_heading = "Search")]
+    pub tool_length: u32,
+    /// Write planner nullify's schedule too: AM and SM time of each voxel of its box
+    #[arg(long, value_name = "FILE")]
+    pub schedule: Option<PathBuf>,
     /// Write out.gcode even when the plan does not verify
     #[arg(long)]
     pub post_unverified: bool,
@@ -154,8 +163,9 @@ pub struct RuleArgs {
     #[arg(long, value_name = "MM", value_parser = not_negative)]
     pub tolerance: Option<f64>,
     /// What carries the part: a pedestal and table that tools must not touch, or nothing
-    #[arg(long, value_enum, default_value_t = Base::Pedestal)]
-    pub base: Base,
+    /// [default: pedestal, none for planner nullify]
+    #[arg(long, value_enum)]
+    pub base: Option<Base>,
     /// Hold the part on its base throughout, or allow to hold it anew
     #[arg(long, value_enum, default_value_t = HoldingArg::Base)]
     pub holding: HoldingArg,
@@ -168,6 +178,9 @@ pub struct RuleArgs {
 pub struct VerifyArgs {
     /// Directory that `hmplan plan` wrote
     pub dir: PathBuf,
+    /// Check this schedule against the plan's parts as well, operation by operation
+    #[arg(long, value_name = "FILE")]
+    pub schedule: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
@@ -291,6 +304,13 @@ pub enum Planner {
     Nullify,
     /// Alternating blocks with few changes of process
     Blocks,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ObjectiveArg {
+    Supports,
+    Switches,
+    Operations,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -7,6 +7,7 @@ use super::profiles;
 use hmplan::base::DMat3;
 use hmplan::machine::{BaseKind, HoldingMode, Machine, Tool, ToolKind};
 use hmplan::plan::Command;
+use hmplan::planner::nullify;
 use std::path::{Path, PathBuf};
 
 /// One part as it is to be read.
@@ -31,7 +32,8 @@ pub struct RuleConfig {
 /// A planning run, resolved.
 #[derive(Clone, Debug)]
 pub struct PlanConfig {
-    pub initial: PartConfig,
+    /// None: from an empty base.
+    pub initial: Option<PartConfig>,
     pub target: PartConfig,
     pub output: PathBuf,
     pub setup: Setup,
@@ -44,13 +46,16 @@ pub struct PlanConfig {
     pub time_limit_s: Option<f64>,
     pub seed: u64,
     pub post_unverified: bool,
+    /// What planner nullify is told; None for planner reman.
+    pub nullify: Option<nullify::Options>,
+    pub schedule: Option<PathBuf>,
 }
 
 impl PlanConfig {
     /// What the plan file records of it.
     pub fn command(&self) -> Command {
         Command {
-            planner: "reman".into(),
+            planner: if self.nullify.is_some() { "nullify" } else { "reman" }.into(),
             setup: match self.setup {
                 Setup::Search => "search",
                 Setup::Keep => "keep",
@@ -67,29 +72,38 @@ impl PlanConfig {
 /// # Errors
 /// A planner this build lacks, a machine or tool that does not load, a tool of the wrong kind.
 pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
-    let [initial, target] = match (args.planner, args.parts.as_slice()) {
-        (None | Some(Planner::Reman), [initial, target]) => [initial, target],
+    let (initial, target, nullified) = match (args.planner, args.parts.as_slice()) {
+        (None | Some(Planner::Reman), [initial, target]) => (Some(initial), target, false),
+        (Some(Planner::Nullify), [initial, target]) => (Some(initial), target, true),
+        (None | Some(Planner::Nullify), [target]) => (None, target, true),
         (Some(Planner::Reman), _) => {
             return Err(Failure::input(
                 "planner reman reuses an initial part, but a single part was given; give INITIAL \
                  and TARGET",
             ));
         }
-        (None, _) => {
-            return Err(Failure::input(
-                "planning a single part from an empty base needs planner nullify, which this \
-                 version does not have yet; give two parts: hmplan plan INITIAL TARGET -o DIR",
-            ));
+        (None | Some(Planner::Nullify), _) => {
+            return Err(Failure::input("give TARGET, or INITIAL and TARGET"));
         }
         (Some(planner), _) => return Err(no_such_planner(planner)),
     };
     let machine = profiles::find_machine(&args.machine.machine)?;
-    let cutters = tools(&machine, &args.machine.sm_tool, ToolKind::Subtractive)?;
-    let nozzles = tools(&machine, &args.machine.am_tool, ToolKind::Additive)?;
-    let u = &args.units;
+    let [cutters, nozzles] = if nullified {
+        voxel_tools_only(args)?;
+        // As wide as a voxel: made when the pitch is known.
+        [Vec::new(), Vec::new()]
+    } else {
+        [
+            tools(&machine, &args.machine.sm_tool, ToolKind::Subtractive)?,
+            tools(&machine, &args.machine.am_tool, ToolKind::Additive)?,
+        ]
+    };
+    let (u, resolution) = (&args.units, args.rules.resolution);
     Ok(PlanConfig {
-        initial: part(initial, u, (u.initial_unit, u.initial_scale, u.initial_up)),
-        target: part(target, u, (u.target_unit, u.target_scale, u.target_up)),
+        initial: initial
+            .map(|p| part(p, u, (u.initial_unit, u.initial_scale, u.initial_up), resolution))
+            .transpose()?,
+        target: part(target, u, (u.target_unit, u.target_scale, u.target_up), resolution)?,
         output: args.output.clone(),
         setup: args.setup,
         machine,
@@ -102,8 +116,11 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
                 args::HoldingArg::Refixture => HoldingMode::Refixture,
             },
             base: match args.rules.base {
-                args::Base::Pedestal => BaseKind::Pedestal,
-                args::Base::None => BaseKind::None,
+                Some(args::Base::Pedestal) => BaseKind::Pedestal,
+                Some(args::Base::None) => BaseKind::None,
+                // The half-space of INV's tools would forbid every cut beside a table.
+                None if nullified => BaseKind::None,
+                None => BaseKind::Pedestal,
             },
             tolerance_mm: args.rules.tolerance,
             grip_mm: args.rules.grip,
@@ -112,7 +129,42 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         time_limit_s: args.time_limit,
         seed: args.seed,
         post_unverified: args.post_unverified,
+        nullify: nullified.then(|| nullify::Options {
+            length: args.tool_length,
+            objective: match args.objective {
+                args::ObjectiveArg::Supports => nullify::Objective::Supports,
+                args::ObjectiveArg::Switches => nullify::Objective::Switches,
+                args::ObjectiveArg::Operations => nullify::Objective::Operations,
+            },
+            support_ahead: args.objective == args::ObjectiveArg::Switches,
+            seed: args.seed,
+            ..nullify::Options::default()
+        }),
+        schedule: schedule(args, nullified)?,
     })
+}
+
+/// # Errors
+/// A schedule asked of a planner that makes none.
+fn schedule(args: &PlanArgs, nullified: bool) -> Result<Option<PathBuf>, Failure> {
+    match &args.schedule {
+        Some(_) if !nullified => {
+            Err(Failure::input("only planner nullify makes a schedule; add --planner nullify"))
+        }
+        schedule => Ok(schedule.clone()),
+    }
+}
+
+/// Planner nullify takes INV's tools alone.
+fn voxel_tools_only(args: &PlanArgs) -> Result<(), Failure> {
+    let named = args.machine.sm_tool.iter().chain(&args.machine.am_tool);
+    match named.into_iter().find(|n| !Tool::is_voxel_sized(n)) {
+        None => Ok(()),
+        Some(name) => Err(Failure::Input(format!(
+            "planner nullify plans for inv-cutter and inv-nozzle, not '{name}'; leave the tool out \
+             and set --tool-length"
+        ))),
+    }
 }
 
 fn no_such_planner(planner: Planner) -> Failure {
@@ -123,7 +175,7 @@ fn no_such_planner(planner: Planner) -> Failure {
         Planner::Blocks => "blocks",
     };
     Failure::Input(format!(
-        "planner {name} is not in version {}; use --planner reman with two parts",
+        "planner {name} is not in version {}; use --planner reman or nullify",
         env!("CARGO_PKG_VERSION")
     ))
 }
@@ -132,13 +184,24 @@ fn part(
     path: &Path,
     both: &UnitArgs,
     (unit, scale, up): (Option<Unit>, Option<f64>, Option<Axis>),
-) -> PartConfig {
+    resolution: Option<f64>,
+) -> Result<PartConfig, Failure> {
+    if super::inputs::is_voxel_text(path) {
+        let Some(pitch) = resolution else {
+            return Err(Failure::Input(format!(
+                "{}: voxel text has no size of its own; give the voxel size with --resolution",
+                path.display()
+            )));
+        };
+        let up = up.unwrap_or(both.up);
+        return Ok(PartConfig { path: path.to_path_buf(), mm_per_unit: pitch, up });
+    }
     let mm = unit.unwrap_or(both.unit).mm();
-    PartConfig {
+    Ok(PartConfig {
         path: path.to_path_buf(),
         mm_per_unit: mm * scale.unwrap_or(both.scale),
         up: up.unwrap_or(both.up),
-    }
+    })
 }
 
 /// The named tools, or all of the machine's of that kind, in the order in which they are tried.
@@ -167,8 +230,7 @@ fn tools(machine: &Machine, names: &[String], kind: ToolKind) -> Result<Vec<Tool
         }
         if Tool::is_voxel_sized(&tool.name) {
             return Err(Failure::Input(format!(
-                "{flag} {}: that tool is one voxel wide, for planner nullify, which this version \
-                 does not have yet",
+                "{flag} {}: that tool is one voxel wide; it goes with --planner nullify",
                 tool.name
             )));
         }
@@ -247,8 +309,10 @@ mod tests {
         ]);
         let args::Command::Plan(args) = cli.unwrap().command else { panic!("a plan") };
         let u = &args.units;
-        let a = part(Path::new("a"), u, (u.initial_unit, u.initial_scale, u.initial_up));
-        let b = part(Path::new("b"), u, (u.target_unit, u.target_scale, u.target_up));
+        let a =
+            part(Path::new("a"), u, (u.initial_unit, u.initial_scale, u.initial_up), None).unwrap();
+        let b =
+            part(Path::new("b"), u, (u.target_unit, u.target_scale, u.target_up), None).unwrap();
         assert_eq!((a.mm_per_unit, b.mm_per_unit), (50.8, 2000.0));
     }
 }

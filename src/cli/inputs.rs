@@ -7,13 +7,52 @@ use hmplan::base::{Aabb, Ctx, DAffine3, DVec3};
 use hmplan::machine::Tool;
 use hmplan::mesh::{self, Health, ReadOptions, TriMesh};
 use hmplan::plan::{Input, Job};
-use hmplan::voxel::{BitGrid, Frame, voxelise};
+use hmplan::voxel::{BitGrid, Frame, blocks, parse_voxel_text, voxelise};
 use std::path::Path;
 
 /// A part as read: mesh in mm, axes of its file, and what the plan file records of it.
 pub struct Part {
     pub mesh: TriMesh,
     pub record: Input,
+    /// Of voxel text: its voxels, of `mm_per_unit` each, the first at the origin of the part.
+    voxels: Option<BitGrid>,
+}
+
+/// Bytes of the largest voxel text: the 2³¹ voxels a grid may have take no more than twice that.
+const LARGEST_TEXT: u64 = 1 << 32;
+
+/// Whether a part is voxel text, by its name.
+pub fn is_voxel_text(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt"))
+}
+
+/// Reads voxel text as a part of voxels of `pitch` mm.
+fn read_voxel_text(name: &str, open: &Path, pitch: f64) -> Result<Part, Failure> {
+    use std::io::Read as _;
+    let failed = |e: std::io::Error| Failure::Input(format!("{name} cannot be read ({e})"));
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(open).map_err(failed)?;
+    file.take(LARGEST_TEXT).read_to_end(&mut bytes).map_err(failed)?;
+    let sha256 = super::plan::digest(&bytes);
+    let text = String::from_utf8(bytes)
+        .map_err(|_| Failure::Input(format!("{name}: is no voxel text")))?;
+    let voxels = parse_voxel_text(&text).map_err(|e| Failure::Input(format!("{name}: {e}")))?;
+    let frame = Frame { pitch, dims: voxels.dims(), origin: DVec3::ZERO };
+    let mesh = blocks(&voxels, &frame).map_err(|e| Failure::Input(format!("{name}: {e}")))?;
+    Ok(Part {
+        record: Input {
+            path: name.to_string(),
+            sha256,
+            triangles: mesh.triangles().len(),
+            watertight: true,
+            volume_mm3: mesh.signed_volume(),
+            mm_per_unit: pitch,
+            transform: Input::rows_of(&DAffine3::IDENTITY),
+            warnings: Vec::new(),
+        },
+        mesh,
+        voxels: Some(voxels),
+    })
 }
 
 /// Reads the part at `open`, recorded under the name `path`.
@@ -24,6 +63,9 @@ pub fn read(path: &Path, open: &Path, mm_per_unit: f64) -> Result<Part, Failure>
             path.display()
         )));
     };
+    if is_voxel_text(path) {
+        return read_voxel_text(name, open, mm_per_unit);
+    }
     let loaded = mesh::read(open, &ReadOptions { mm_per_unit }).map_err(Failure::input)?;
     let health = Health::of(&loaded.mesh);
     let warnings: Vec<String> = health.warnings();
@@ -39,6 +81,7 @@ pub fn read(path: &Path, open: &Path, mm_per_unit: f64) -> Result<Part, Failure>
             warnings,
         },
         mesh: loaded.mesh,
+        voxels: None,
     })
 }
 
@@ -64,18 +107,18 @@ impl Part {
     }
 }
 
-/// Turns up axes to z; then, as `keep` means it, one shift for both that puts the initial part's
+/// Turns up axes to z; then, as `keep` means it, one shift for all that puts the first part's
 /// lowest point on the base plane.
-pub fn stand(
-    initial: &mut Part,
-    up: [super::args::Axis; 2],
-    target: &mut Part,
-) -> Result<(), Failure> {
-    initial.place(&DAffine3::from_mat3(up[0].to_z()));
-    let floor = initial.placed()?.bounds().min.z;
+pub fn stand(parts: &mut [(&mut Part, super::args::Axis)]) -> Result<(), Failure> {
+    for (part, up) in parts.iter_mut() {
+        part.place(&DAffine3::from_mat3(up.to_z()));
+    }
+    let Some((first, _)) = parts.first() else { return Ok(()) };
+    let floor = first.placed()?.bounds().min.z;
     let shift = DAffine3::from_translation(DVec3::new(0.0, 0.0, -floor));
-    initial.place(&(shift * DAffine3::from_mat3(up[0].to_z())));
-    target.place(&(shift * DAffine3::from_mat3(up[1].to_z())));
+    for (part, up) in parts.iter_mut() {
+        part.place(&(shift * DAffine3::from_mat3(up.to_z())));
+    }
     Ok(())
 }
 
@@ -95,8 +138,14 @@ pub fn default_pitch(bounds: &Aabb, tools: &[Tool]) -> f64 {
 }
 
 /// The grid that holds both parts.
-pub fn frame(parts: [&TriMesh; 2], pitch: Option<f64>, tools: &[Tool]) -> Result<Frame, Failure> {
-    let bounds = parts[0].bounds().union(parts[1].bounds());
+pub fn frame(
+    initial: Option<&TriMesh>,
+    target: &TriMesh,
+    pitch: Option<f64>,
+    tools: &[Tool],
+) -> Result<Frame, Failure> {
+    let target = target.bounds();
+    let bounds = initial.map_or(target, |i| i.bounds().union(target));
     let pitch = pitch.unwrap_or_else(|| default_pitch(&bounds, tools));
     Frame::around(bounds, pitch, MARGIN).map_err(Failure::input)
 }
@@ -106,7 +155,10 @@ pub fn frame(parts: [&TriMesh; 2], pitch: Option<f64>, tools: &[Tool]) -> Result
 /// # Errors
 /// A part of which no voxel's centre is inside.
 pub fn solid(part: &Part, placed: &TriMesh, frame: &Frame, ctx: &Ctx) -> Result<BitGrid, Failure> {
-    let grid = voxelise(placed, frame, ctx)?;
+    let grid = match (&part.voxels, part.record.plan_from_part()) {
+        (Some(voxels), Some(motion)) => stamped(voxels, part.record.mm_per_unit, &motion, frame),
+        _ => voxelise(placed, frame, ctx)?,
+    };
     if grid.is_empty() {
         let s = placed.bounds().size();
         return Err(Failure::Input(format!(
@@ -116,6 +168,18 @@ pub fn solid(part: &Part, placed: &TriMesh, frame: &Frame, ctx: &Ctx) -> Result<
         )));
     }
     Ok(grid)
+}
+
+/// Voxels moved onto a grid: solid where the centre of one comes to lie.
+fn stamped(voxels: &BitGrid, pitch: f64, motion: &DAffine3, frame: &Frame) -> BitGrid {
+    let own = Frame { pitch, dims: voxels.dims(), origin: DVec3::ZERO };
+    let mut grid = BitGrid::new(frame.dims);
+    for v in voxels.iter_ones() {
+        if let Some(at) = frame.voxel_at(motion.transform_point3(own.center(v))) {
+            grid.set(at, true);
+        }
+    }
+    grid
 }
 
 /// How far the target reaches below the base plane, in words; nothing when it does not.

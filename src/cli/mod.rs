@@ -50,7 +50,7 @@ pub fn main() -> ExitCode {
 fn run(cli: Cli) -> Result<Exit, Failure> {
     match cli.command {
         Command::Plan(args) => plan::run(&config::resolve(&args)?, &cli.output),
-        Command::Verify(args) => verify::run(&args.dir, &cli.output),
+        Command::Verify(args) => verify::run(&args.dir, args.schedule.as_deref(), &cli.output),
         Command::Machine { action } => profiles::machine(&action),
         Command::Tool { action } => profiles::tool(&action),
         Command::Completions { shell } => completions(shell),
@@ -58,13 +58,6 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Command::Analyze(args) => analyze::run(&args, &cli.output),
         Command::Stream(args) => stream::run(&args, &cli.output),
     }
-}
-
-fn not_yet(what: &str) -> Failure {
-    Failure::Input(format!(
-        "{what}: not in version {}; `hmplan plan` and `hmplan verify` are",
-        env!("CARGO_PKG_VERSION")
-    ))
 }
 
 /// Sets up logs and threads before any work begins.

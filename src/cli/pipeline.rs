@@ -7,9 +7,9 @@ use super::plan::{Clock, digest};
 use hmplan::base::Ctx;
 use hmplan::gcode::{self, CheckReport, PostError, Program};
 use hmplan::mesh::TriMesh;
-use hmplan::plan::{Job, Plan, PlanFile};
+use hmplan::plan::{Job, Plan, PlanFile, Schedule};
 use hmplan::planner::setup::{SetupOptions, SetupReport};
-use hmplan::planner::{PlanError, reman, setup};
+use hmplan::planner::{PlanError, nullify, reman, setup};
 use hmplan::report::{PlannerFigures, RuleLine};
 use hmplan::toolpath::{self, ToolpathError};
 use hmplan::verify::Verdict;
@@ -38,10 +38,13 @@ pub fn search_setup(
 /// Plans with the planner asked for.
 pub fn plan(
     job: &Job,
-    _config: &PlanConfig,
+    config: &PlanConfig,
     ctx: &Ctx,
     clock: &mut Clock,
-) -> Result<(Plan, PlannerFigures), Failure> {
+) -> Result<(Plan, PlannerFigures, Option<Schedule>), Failure> {
+    if let Some(options) = &config.nullify {
+        return nullified(job, options, config.schedule.is_some(), ctx, clock);
+    }
     let (plan, report) = reman::plan(job, &reman::Options::default(), ctx).map_err(failure)?;
     for (stage, seconds) in &report.seconds {
         if !clock.seconds.add(stage, *seconds) {
@@ -57,8 +60,38 @@ pub fn plan(
         planes_global: Some(report.planes_global),
         planes_local: Some(report.planes_local),
         notes: report.notes,
+        ..PlannerFigures::default()
     };
-    Ok((plan, figures))
+    Ok((plan, figures, None))
+}
+
+fn nullified(
+    job: &Job,
+    options: &nullify::Options,
+    scheduled: bool,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<(Plan, PlannerFigures, Option<Schedule>), Failure> {
+    let (plan, s) = clock.time("search", || nullify::plan(job, options, ctx)).map_err(failure)?;
+    let schedule = match scheduled {
+        true => Some(Schedule::new(s.dims, &s.operations).map_err(Failure::input)?),
+        false => None,
+    };
+    let mut notes = vec![format!(
+        "Planned for the half-space tools of the method, L = {} voxels, in a box of {} × {} × {}.",
+        options.length, s.dims[0], s.dims[1], s.dims[2]
+    )];
+    if s.tries > 1 {
+        notes.push(format!("The best of {} tries within the time limit.", s.tries));
+    }
+    let figures = PlannerFigures {
+        planner: "nullify".into(),
+        operations: Some(s.operations.len()),
+        support_voxels: Some(s.supports),
+        notes,
+        ..PlannerFigures::default()
+    };
+    Ok((plan, figures, schedule))
 }
 
 fn failure(e: PlanError) -> Failure {

@@ -11,13 +11,14 @@ use hmplan::base::{Ctx, DAffine3};
 use hmplan::machine::Tool;
 use hmplan::mesh::write_stl;
 use hmplan::plan::{
-    Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Seconds, StepKind, Summary,
-    end_state,
+    Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Schedule, Seconds, StepKind,
+    Summary, end_state,
 };
 use hmplan::report;
 use hmplan::verify::verify;
 use hmplan::voxel::{BitGrid, surface};
 use sha2::{Digest as _, Sha256};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -53,11 +54,17 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     let ctx = context(output, config.time_limit_s, config.seed)?;
     let Prepared { job, inputs, notes } = prepare(config, &ctx, &mut clock)?;
 
-    let (plan, mut figures) = pipeline::plan(&job, config, &ctx, &mut clock)?;
+    let (plan, mut figures, schedule) = pipeline::plan(&job, config, &ctx, &mut clock)?;
     figures.notes.splice(0..0, notes);
     figures.notes.extend(inputs::below_base(&job));
     let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
-    let posted = if verdict.passed() || config.post_unverified {
+    let posted = if config.nullify.is_some() {
+        figures.notes.push(
+            "No program was written: the tools of planner nullify are half-spaces, no machine's."
+                .into(),
+        );
+        pipeline::Posted::default()
+    } else if verdict.passed() || config.post_unverified {
         clock.time("toolpaths", || pipeline::post(&job, &verdict, config.post_unverified, &ctx))?
     } else {
         figures.notes.push("No program was written, since the plan does not verify.".into());
@@ -102,6 +109,9 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     draft.write(output::PLAN, |out| out.write_all(&file.to_json()))?;
     ctx.check()?;
     draft.publish()?;
+    if let (Some(schedule), Some(path)) = (&schedule, &config.schedule) {
+        write_schedule(schedule, path)?;
+    }
     let location = report::residual_location(&job, &verdict);
     summary::show(&file, &rules, location.as_deref(), output)?;
     Ok(outcome(&file.summary))
@@ -137,36 +147,47 @@ struct Prepared {
 
 fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<Prepared, Failure> {
     let (mut initial, mut target) = clock.time("load", || -> Result<_, Failure> {
-        Ok((Part::read(&config.initial)?, Part::read(&config.target)?))
+        Ok((config.initial.as_ref().map(Part::read).transpose()?, Part::read(&config.target)?))
     })?;
-    for part in [&initial, &target] {
+    for part in initial.iter().chain([&target]) {
         for warning in &part.record.warnings {
             tracing::warn!("{}: {warning}", part.record.path);
         }
     }
-    inputs::stand(&mut initial, [config.initial.up, config.target.up], &mut target)?;
-    let initial_mesh = initial.placed()?;
+    let mut standing: Vec<_> =
+        initial.iter_mut().zip(&config.initial).map(|(p, c)| (p, c.up)).collect();
+    standing.push((&mut target, config.target.up));
+    inputs::stand(&mut standing)?;
+    let initial_mesh = initial.as_ref().map(Part::placed).transpose()?;
     let mut notes = Vec::new();
-    if config.setup == Setup::Search {
+    // INV keeps the poses of its voxels; a search would only apply to the other planners.
+    if let (Some(initial_mesh), Setup::Search) = (&initial_mesh, config.setup) {
         let turned = DAffine3::from_mat3(config.target.up.to_z());
         target.place(&turned);
         let standing = target.placed()?;
-        let found = clock
-            .time("setup", || pipeline::search_setup(&initial_mesh, &standing, config, ctx))?;
+        let found =
+            clock.time("setup", || pipeline::search_setup(initial_mesh, &standing, config, ctx))?;
         target.place(&(found.winner.transform * turned));
         notes.push(found.note());
     }
     let target_mesh = target.placed()?;
 
     let tools: Vec<Tool> = config.cutters.iter().chain(&config.nozzles).cloned().collect();
-    let frame = inputs::frame([&initial_mesh, &target_mesh], config.resolution_mm, &tools)?;
+    let frame = inputs::frame(initial_mesh.as_ref(), &target_mesh, config.resolution_mm, &tools)?;
     let (initial_solid, target_solid) = clock.time("voxelise", || -> Result<_, Failure> {
+        let initial = initial.as_ref().zip(initial_mesh.as_ref());
+        let initial = initial.map(|(part, mesh)| inputs::solid(part, mesh, &frame, ctx));
         Ok((
-            inputs::solid(&initial, &initial_mesh, &frame, ctx)?,
+            initial.transpose()?.unwrap_or_else(|| BitGrid::new(frame.dims)),
             inputs::solid(&target, &target_mesh, &frame, ctx)?,
         ))
     })?;
-    let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&config.nozzles));
+    let (mut cutters, mut nozzles) = (config.cutters.clone(), config.nozzles.clone());
+    if let Some(options) = &config.nullify {
+        cutters = vec![Tool::inv_cutter(frame.pitch, options.length)];
+        nozzles = vec![Tool::inv_nozzle(frame.pitch)];
+    }
+    let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&nozzles));
     rules.holding = config.rules.holding;
     rules.base = config.rules.base;
     rules.tolerance_mm = config.rules.tolerance_mm.unwrap_or(rules.tolerance_mm);
@@ -175,15 +196,29 @@ fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<Prepared
         frame,
         initial: initial_solid,
         target: target_solid,
-        initial_mesh,
+        initial_mesh: initial_mesh.unwrap_or_default(),
         target_mesh,
         machine: config.machine.clone(),
-        cutters: config.cutters.clone(),
-        nozzles: config.nozzles.clone(),
+        cutters,
+        nozzles,
         rules,
     };
-    let inputs = Inputs { initial: initial.record, target: target.record };
+    let inputs = Inputs { initial: initial.map(|i| i.record), target: target.record };
     Ok(Prepared { job, inputs, notes })
+}
+
+/// States written at most; of longer plans every n-th.
+const MOST_STATES: usize = 200;
+
+/// Writes the schedule whole: to a sibling first, then renamed.
+fn write_schedule(schedule: &Schedule, path: &Path) -> Result<(), Failure> {
+    let failed = |e: std::io::Error| Failure::writing(path, &e);
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut out = std::io::BufWriter::new(tempfile::NamedTempFile::new_in(folder).map_err(failed)?);
+    schedule.write(&mut out).map_err(failed)?;
+    let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
+    file.persist(path).map_err(|e| failed(e.error))?;
+    Ok(())
 }
 
 /// The workpiece after each step, and what was reused, removed and added in all.
@@ -197,6 +232,7 @@ fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Res
         ctx.advance(1);
         Ok(())
     };
+    let stride = plan.steps.len().div_ceil(MOST_STATES).max(1);
     let mut state = job.initial.clone();
     for (i, step) in plan.steps.iter().enumerate() {
         let kind = match step.kind {
@@ -209,7 +245,10 @@ fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Res
                 "additive"
             }
         };
-        mesh(&format!("{:02}-{kind}", i + 1), &state)?;
+        // Of thousands of steps nobody looks at each.
+        if (i + 1) % stride == 0 || i + 1 == plan.steps.len() {
+            mesh(&format!("{:02}-{kind}", i + 1), &state)?;
+        }
     }
     let end = end_state(job, plan);
     for (name, grid) in [("reused", &end.reused), ("removed", &end.removed), ("added", &end.added)]

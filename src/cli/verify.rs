@@ -10,10 +10,11 @@ use super::pipeline;
 use super::plan::{context, digest, outcome};
 use super::{print, summary};
 use hmplan::base::Ctx;
-use hmplan::machine::ToolKind;
-use hmplan::plan::{Input, Job, Plan, PlanFile, Seconds, StepRecord, Summary};
+use hmplan::machine::{Tool, ToolKind};
+use hmplan::plan::{Input, Job, Plan, PlanFile, Schedule, Seconds, StepRecord, Summary};
 use hmplan::report::{self, PlannerFigures, RuleLine};
-use hmplan::verify::verify;
+use hmplan::verify::{verify, verify_operations};
+use hmplan::voxel::BitGrid;
 use std::fmt::Write as _;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -21,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// Bytes of the largest plan file or program read; ten times what the largest plans need.
 const LARGEST_FILE: u64 = 1 << 30;
 
-pub fn run(dir: &Path, output: &OutputArgs) -> Result<Exit, Failure> {
+pub fn run(dir: &Path, schedule: Option<&Path>, output: &OutputArgs) -> Result<Exit, Failure> {
     let path = dir.join(PLAN);
     let bytes = read_bounded(&path)?;
     let in_file = |e: hmplan::plan::FileError| {
@@ -35,8 +36,10 @@ pub fn run(dir: &Path, output: &OutputArgs) -> Result<Exit, Failure> {
     let plan = file.plan().map_err(in_file)?;
     let job = rebuild(dir, &file, &ctx)?;
 
+    let scheduled = schedule.map(|path| schedule_rule(&job, path)).transpose()?;
     let verdict = verify(&job, plan, &ctx)?;
     let mut rules = report::rule_lines(&verdict);
+    rules.extend(scheduled);
     match &program {
         Some(text) => rules.extend(pipeline::check_program(&job, &verdict.plan, text, &ctx)?),
         None => rules.extend(withheld(&file)),
@@ -47,6 +50,41 @@ pub fn run(dir: &Path, output: &OutputArgs) -> Result<Exit, Failure> {
     again.take_rules(rules.iter().map(|r| (r.rule.as_str(), r.passed)));
     let location = report::residual_location(&job, &verdict);
     report(file, again, &rules, location.as_deref(), output)
+}
+
+/// Rule `schedule`: every operation of a schedule file obeys its rule at its moment, and the last
+/// leaves the target.
+fn schedule_rule(job: &Job, path: &Path) -> Result<RuleLine, Failure> {
+    let said = |e: &dyn std::fmt::Display| Failure::Input(format!("{}: {e}", path.display()));
+    let text = String::from_utf8(read_bounded(path)?).map_err(|e| said(&e))?;
+    let Some(cutter) = job.cutters.first().filter(|t| Tool::is_voxel_sized(&t.name)) else {
+        return Err(said(&"the plan has no inv-cutter, so no schedule is of it"));
+    };
+    // The half-space begins half a voxel below the L-th voxel.
+    let length = (cutter.active_length() / job.frame.pitch + 0.5).round() as u32;
+    let Some([initial, target]) = pair_in_box(job) else {
+        return Err(said(&"the parts of the plan are empty"));
+    };
+    let schedule = Schedule::parse(&text, target.dims()).map_err(|e| said(&e))?;
+    let operations = schedule.operations();
+    let fault = verify_operations(&initial, &target, &operations, length).err();
+    Ok(RuleLine {
+        rule: "schedule".into(),
+        passed: fault.is_none(),
+        figure: fault
+            .map_or(format!("all {} operations hold", operations.len()), |e| e.to_string()),
+    })
+}
+
+/// Both solids in the box of the two, from the base plane up: the box a schedule counts in.
+fn pair_in_box(job: &Job) -> Option<[BitGrid; 2]> {
+    let (mut low, high) = job.initial.or(&job.target).extent()?;
+    low[2] = (-job.frame.origin.z / job.frame.pitch).round().max(0.0) as usize;
+    let dims = std::array::from_fn(|a| (high[a] + 1).saturating_sub(low[a]).max(1));
+    let cut = |g: &BitGrid| {
+        BitGrid::from_fn(dims, |v| g.get_or_empty(std::array::from_fn(|a| (v[a] + low[a]) as i64)))
+    };
+    Some([cut(&job.initial), cut(&job.target)])
 }
 
 /// The rules for which a plan says its program was kept back.
@@ -144,10 +182,10 @@ fn rebuild(dir: &Path, file: &PlanFile, ctx: &Ctx) -> Result<Job, Failure> {
         part.record.transform = input.transform;
         Ok(part)
     };
-    let (initial, target) = (read(&file.inputs.initial)?, read(&file.inputs.target)?);
-    for (now, recorded) in
-        [(&initial.record, &file.inputs.initial), (&target.record, &file.inputs.target)]
-    {
+    let initial = file.inputs.initial.as_ref().map(read).transpose()?;
+    let target = read(&file.inputs.target)?;
+    let both = initial.iter().zip(&file.inputs.initial).chain([(&target, &file.inputs.target)]);
+    for (now, recorded) in both.map(|(part, recorded)| (&part.record, recorded)) {
         if now != recorded {
             return Err(Failure::Altered(format!(
                 "{}: what {PLAN} says of it (triangles, volume, warnings) is not what it has",
@@ -155,22 +193,25 @@ fn rebuild(dir: &Path, file: &PlanFile, ctx: &Ctx) -> Result<Job, Failure> {
             )));
         }
     }
-    let (initial_mesh, target_mesh) = (initial.placed()?, target.placed()?);
+    let initial_mesh = initial.as_ref().map(Part::placed).transpose()?;
+    let target_mesh = target.placed()?;
     let pitch = Some(file.grid.pitch);
     // Made again rather than taken: a grid that misses a part, or is far larger, is no grid of
     // this plan.
-    let frame = inputs::frame([&initial_mesh, &target_mesh], pitch, &file.tools)?;
+    let frame = inputs::frame(initial_mesh.as_ref(), &target_mesh, pitch, &file.tools)?;
     if frame != file.grid {
         return Err(Failure::Altered(format!(
             "the grid in {PLAN} is not the one its inputs and pitch make"
         )));
     }
     let of_kind = |kind| file.tools.iter().filter(|t| t.kind == kind).cloned().collect::<Vec<_>>();
+    let solid = initial.as_ref().zip(initial_mesh.as_ref());
+    let solid = solid.map(|(part, mesh)| inputs::solid(part, mesh, &frame, ctx)).transpose()?;
     Ok(Job {
         frame,
-        initial: inputs::solid(&initial, &initial_mesh, &frame, ctx)?,
+        initial: solid.unwrap_or_else(|| BitGrid::new(frame.dims)),
         target: inputs::solid(&target, &target_mesh, &frame, ctx)?,
-        initial_mesh,
+        initial_mesh: initial_mesh.unwrap_or_default(),
         target_mesh,
         machine: file.machine.clone(),
         cutters: of_kind(ToolKind::Subtractive),
@@ -195,6 +236,8 @@ fn claimed(s: &Summary) -> PlannerFigures {
         inaccessible_am: s.inaccessible_am,
         planes_global: s.planes_global,
         planes_local: s.planes_local,
+        operations: s.operations,
+        support_voxels: s.support_voxels,
         notes: s.notes.clone(),
     }
 }

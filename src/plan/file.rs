@@ -68,7 +68,8 @@ pub struct Command {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Inputs {
-    pub initial: Input,
+    /// Null when the target is planned from an empty base.
+    pub initial: Option<Input>,
     pub target: Input,
 }
 
@@ -291,7 +292,8 @@ impl PlanFile {
             tool.validate()?;
         }
         self.check_machine()?;
-        for (part, input) in [("initial", &self.inputs.initial), ("target", &self.inputs.target)] {
+        let initial = self.inputs.initial.iter().map(|i| ("initial", i));
+        for (part, input) in initial.chain([("target", &self.inputs.target)]) {
             if !(input.mm_per_unit.is_finite() && input.mm_per_unit > 0.0) {
                 return Err(FileError::Scale { part, value: input.mm_per_unit });
             }

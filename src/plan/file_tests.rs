@@ -42,7 +42,7 @@ fn example() -> PlanFile {
             time_limit_s: None,
             post_unverified: false,
         },
-        inputs: Inputs { initial: input("a.stl"), target: input("b.stl") },
+        inputs: Inputs { initial: Some(input("a.stl")), target: input("b.stl") },
         grid,
         machine: Machine::builtin("generic-5axis").expect("the default machine"),
         tools: vec![cutter()],
@@ -132,7 +132,7 @@ fn hostile_figures_are_refused_by_name() {
         ("tool", |f| f.steps[0].tool = "drill".into()),
         ("tool", |f| f.steps[0].kind = StepKind::Additive),
         ("transform", |f| f.inputs.target.transform[0] = 2.0),
-        ("mm_per_unit", |f| f.inputs.initial.mm_per_unit = 0.0),
+        ("mm_per_unit", |f| f.inputs.initial.as_mut().unwrap().mm_per_unit = 0.0),
         ("tolerance_mm", |f| f.rules.tolerance_mm = -1.0),
     ];
     for (word, change) in cases {

@@ -10,6 +10,8 @@
 mod file;
 mod job;
 mod layout;
+mod operation;
+mod schedule;
 mod state;
 mod step;
 
@@ -18,5 +20,7 @@ pub use file::{
     StepRecord, Summary,
 };
 pub use job::{Job, Rules};
+pub use operation::{Deed, Operation, Orientation};
+pub use schedule::{Schedule, ScheduleError};
 pub use state::{End, end_state};
 pub use step::{Action, Origin, Plan, Plane, Step, StepKind};

@@ -4,6 +4,7 @@
 //! nothing it could not reach is hidden: the verifier measures what is missing. Not guaranteed:
 //! validity itself; only [`crate::verify`] says so.
 
+pub mod nullify;
 pub mod reman;
 pub mod setup;
 
@@ -24,6 +25,8 @@ pub enum PlanError {
     Unmeasurable { which: &'static str, pitch_mm: f64 },
     #[error("no {kind} tool: the machine has none and none was named")]
     NoTool { kind: &'static str },
+    #[error(transparent)]
+    Nullify(#[from] nullify::NullifyError),
     #[error("the set cover of the clipping planes failed: {0}")]
     Cover(#[from] crate::search::CoverError),
 }

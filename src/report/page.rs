@@ -25,7 +25,13 @@ pub fn page(
     let s = &file.summary;
     env.get_template("page")?.render(context! {
         version => &file.hmplan_version,
-        inputs => [input("Initial", &file.inputs.initial), input("Target", &file.inputs.target)],
+        inputs => file
+            .inputs
+            .initial
+            .iter()
+            .map(|i| input("Initial", i))
+            .chain([input("Target", &file.inputs.target)])
+            .collect::<Vec<_>>(),
         grid => context! {
             pitch => file.grid.pitch,
             dims => file.grid.dims,

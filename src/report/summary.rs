@@ -21,6 +21,8 @@ pub struct PlannerFigures {
     pub inaccessible_am: Option<usize>,
     pub planes_global: Option<usize>,
     pub planes_local: Option<usize>,
+    pub operations: Option<usize>,
+    pub support_voxels: Option<usize>,
     pub notes: Vec<String>,
 }
 
@@ -88,8 +90,8 @@ pub fn summarise(
         blocks_am: blocks(plan, StepKind::Additive),
         switches: plan.steps.windows(2).filter(|w| w[0].kind != w[1].kind).count(),
         holdings: plan.holdings.len(),
-        operations: None,
-        support_voxels: None,
+        operations: planner.operations,
+        support_voxels: planner.support_voxels,
         cost: None,
         cost_lower_bound: None,
         states_expanded: None,

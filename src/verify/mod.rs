@@ -20,6 +20,7 @@ mod bodies;
 mod content;
 mod end;
 mod machine_limits;
+mod operations;
 mod profile;
 mod replay;
 mod skyline;
@@ -32,6 +33,7 @@ mod tiplattice;
 mod verdict;
 
 pub use end::{Measures, Place, Residual};
+pub use operations::{OperationFault, verify_operations};
 pub use verdict::{Rule, RuleResult, Verdict, Verified};
 
 use crate::base::{Cancelled, Ctx};

@@ -45,10 +45,32 @@ impl Carriers {
 }
 
 pub(super) fn check(job: &Job, index: usize, step: &Step, before: &BitGrid) -> RuleResult {
-    let tally = unsupported(step, before, job.rules.overhang_deg);
+    let mut tally = unsupported(step, before, job.rules.overhang_deg);
+    if tally.count > 0 && step.holding == 0 && step.direction == Direction::Z {
+        tally = without_first_layer(job, step, before);
+    }
     tally.result(Rule::Support, index, "voxels without support", &job.frame, || {
         format!("nothing carries them within {}°", job.rules.overhang_deg)
     })
+}
+
+/// The same without the layer that rests on the base plane, in the holding as clamped: its lower
+/// faces are at z = 0.
+fn without_first_layer(job: &Job, step: &Step, before: &BitGrid) -> Tally {
+    let half = job.frame.pitch / 2.0;
+    let on_base =
+        |z: usize| (job.frame.center([0, 0, z]).z - half).abs() <= BELOW_PITCHES * job.frame.pitch;
+    let mut solid = before.clone();
+    let mut above = step.clone();
+    let [_, ny, nz] = solid.dims();
+    for z in (0..nz).filter(|z| on_base(*z)) {
+        for y in 0..ny {
+            let row = above.region.row(y, z).to_vec();
+            solid.row_mut(y, z).iter_mut().zip(&row).for_each(|(s, r)| *s |= r);
+            above.region.row_mut(y, z).fill(0);
+        }
+    }
+    unsupported(&above, &solid, job.rules.overhang_deg)
 }
 
 /// The voxels of the region without a carrier.

@@ -24,6 +24,7 @@ mod repair;
 mod resample;
 mod runs;
 mod surface;
+mod text;
 mod voxelise;
 #[cfg(test)]
 mod voxelise_tests;
@@ -36,4 +37,5 @@ pub use frame::{Frame, FrameTooLarge};
 pub use resample::{coarsened, refined};
 pub use runs::{RunRows, RunsError};
 pub use surface::surface;
+pub use text::{VoxelTextError, blocks, parse_voxel_text};
 pub use voxelise::voxelise;

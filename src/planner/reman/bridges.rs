@@ -83,7 +83,7 @@ mod tests {
         let dims = [30, 9, 12];
         let all = BitGrid::from_fn(dims, |_| true);
         let held = BitGrid::from_fn(dims, |[_, _, z]| z < 2);
-        let loose = BitGrid::from_fn(dims, |[x, _, z]| (x < 4 || x > 25) && z == 8);
+        let loose = BitGrid::from_fn(dims, |[x, _, z]| !(4..=25).contains(&x) && z == 8);
         let cut = all.minus(&held).minus(&loose);
         let left = bridges(&held, &loose, &cut);
         assert!(left.is_subset_of(&cut));

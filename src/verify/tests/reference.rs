@@ -174,6 +174,10 @@ fn carried(job: &Job, step: &Step, x: Voxel, region: &Solid, before: &Solid) -> 
         let angle = (step.direction.dot(lean) / lean.length()).clamp(-1.0, 1.0).acos();
         angle.to_degrees() <= job.rules.overhang_deg + 1e-6
     };
+    let from_above = step.holding == 0 && step.direction == crate::base::Direction::Z;
+    if from_above && (center(job, x).z - h / 2.0).abs() <= 1e-6 * h {
+        return true;
+    }
     neighbours(x)
         .filter(|a| solid(a) && below(a, x))
         .any(|a| steep(a) || neighbours(a).filter(|b| solid(b) && below(b, a)).any(steep))

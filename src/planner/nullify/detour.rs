@@ -1,0 +1,150 @@
+//! Where no tree grows: a way of cells through all eighteen neighbours, sideways and upward too.
+//!
+//! A cell that no other cell of the way carries will want a carrier of its own once its layer is
+//! the top one, hence costs [`UNCARRIED`] more. The search is Dijkstra's from the cells that would
+//! help to the first one beside grounded material. A way is accreted from the ground up; when a
+//! cell of it bars another, all of it is undone and the barred cell left out of the next search.
+//!
+//! The last search is confined to cells just under the top layer that lie open to the sky or at
+//! the side of the domain. The cutter reaches each of them whatever else is accreted there
+//! (L ≥ 2), and around what is left of the top layer they form a closed ring (INV Sec. 3.3), so
+//! this search finds a way and the way holds.
+
+use super::bottleneck::Bottleneck;
+use super::forest::carried;
+use super::workpiece::{Cell, Ways, Workpiece};
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
+
+/// Cells that one without a carrier costs later. Lower, and shelves creep under ceilings; higher,
+/// and ways run deep for nothing.
+const UNCARRIED: u32 = 1;
+
+/// Ways that may fail before the search is confined.
+const ATTEMPTS: usize = 6;
+
+/// Cells looked at before a search gives up and the next begins.
+const MOST_VISITS: usize = 200_000;
+
+/// The same for a tree that ends in the air: a longer way is not worth the tree.
+pub(super) const NEAR_VISITS: usize = 3_000;
+
+struct Visit {
+    cost: u32,
+    /// The cell before, toward the source; itself for a source.
+    from: Cell,
+    done: bool,
+}
+
+/// Accretes one way from any of `sources`, given with the cost of each, to grounded material; what was accreted, in order.
+pub(super) fn connect(
+    w: &mut Workpiece,
+    b: &mut Bottleneck,
+    sources: &[(Cell, u32)],
+) -> Vec<(Cell, Ways)> {
+    let added = connect_free(w, b, sources, MOST_VISITS);
+    if !added.is_empty() {
+        return added;
+    }
+    let usable = |w: &Workpiece, c| w.empty(c) && w.always_open(c);
+    let way = search(w, b, sources, usize::MAX, usable).unwrap_or_default();
+    let added = build(w, &way).unwrap_or_default();
+    b.accreted(w, &way[..added.len()]);
+    added
+}
+
+/// The same with no guarantee: nothing when no way is found or each one bars itself.
+pub(super) fn connect_free(
+    w: &mut Workpiece,
+    b: &mut Bottleneck,
+    sources: &[(Cell, u32)],
+    most_visits: usize,
+) -> Vec<(Cell, Ways)> {
+    let mut barred: Vec<Cell> = Vec::new();
+    for _ in 0..ATTEMPTS {
+        let usable = |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
+        let Some(way) = search(w, b, sources, most_visits, usable) else { break };
+        match build(w, &way) {
+            Ok(added) => {
+                b.accreted(w, &way);
+                return added;
+            }
+            Err(cell) => barred.push(cell),
+        }
+    }
+    Vec::new()
+}
+
+/// The cheapest way, from the ground to the source.
+fn search(
+    w: &Workpiece,
+    b: &Bottleneck,
+    sources: &[(Cell, u32)],
+    most_visits: usize,
+    usable: impl Fn(&Workpiece, Cell) -> bool,
+) -> Option<Vec<Cell>> {
+    let mut visits: HashMap<Cell, Visit> = HashMap::new();
+    let mut heap = BinaryHeap::new();
+    for &(s, cost) in sources {
+        if usable(w, s) {
+            visits.insert(s, Visit { cost, from: s, done: false });
+            heap.push(Reverse((cost, s, false)));
+        }
+    }
+    let offsets = w.offsets();
+    while let Some(Reverse((cost, cell, arrived))) = heap.pop() {
+        if arrived {
+            return Some(trace(&visits, cell));
+        }
+        let known = visits.len();
+        let visit = visits.get_mut(&cell)?;
+        if visit.done || known > most_visits {
+            continue;
+        }
+        visit.done = true;
+        let has_carrier = w.height(cell) == 0 || carried(w, b, cell);
+        let near = offsets.map(|o| (cell as i32 + o) as Cell);
+        if w.height(cell) == 0 || near.iter().any(|n| b.grounded(*n, w.top)) {
+            heap.push(Reverse((cost + if has_carrier { 0 } else { UNCARRIED }, cell, true)));
+        }
+        let below = w.carriers(cell);
+        for n in near {
+            if w.height(n) >= w.top || !usable(w, n) {
+                continue;
+            }
+            let step = if has_carrier || below.contains(&n) { 1 } else { 1 + UNCARRIED };
+            let new = Visit { cost: cost + step, from: cell, done: false };
+            if visits.get(&n).is_none_or(|v| v.cost > new.cost) {
+                heap.push(Reverse((new.cost, n, false)));
+                visits.insert(n, new);
+            }
+        }
+    }
+    None
+}
+
+fn trace(visits: &HashMap<Cell, Visit>, ground: Cell) -> Vec<Cell> {
+    let mut way = vec![ground];
+    let mut at = ground;
+    while let Some(v) = visits.get(&at).filter(|v| v.from != at) {
+        at = v.from;
+        way.push(at);
+    }
+    way
+}
+
+/// Accretes the cells in order, or undoes all and names the one that cannot be reached.
+fn build(w: &mut Workpiece, way: &[Cell]) -> Result<Vec<(Cell, Ways)>, Cell> {
+    let mut log = Vec::new();
+    let mut added = Vec::new();
+    for &cell in way {
+        let ways = w.ways(cell);
+        if ways.is_empty() {
+            w.undo(log.into_iter());
+            return Err(cell);
+        }
+        log.push(w.accrete(cell));
+        added.push((cell, ways));
+    }
+    Ok(added)
+}

@@ -1,0 +1,193 @@
+//! From a part that is there already.
+//!
+//! The nozzle is a half-space: while layer k is deposited nothing may stand above it. So of the
+//! material common to both parts, V_R, everything below some layer h must be whole, layer h may be
+//! begun, and nothing is above it. The largest such V_R that the cutter can free from the initial
+//! part, and from which the target can be finished without supports below h, is taken; with V_R
+//! empty the part is taken off and the target made from nothing.
+//!
+//! The cut to V_R removes voxels one by one. In what is left every voxel keeps a neighbour that is
+//! nearer to V_R (or the base) by breadth-first distance in the initial part, so it stays stable.
+
+use super::workpiece::{Cell, Workpiece};
+use super::{Kept, NullifyError, Options, PlanError, Sequence, check, nullified, patches};
+use crate::base::Ctx;
+use crate::plan::{Deed, Job, Operation};
+use crate::voxel::{BitGrid, Connectivity, flood};
+use std::collections::VecDeque;
+
+/// The box that planning needs of a job's grid: both parts, from the base plane up.
+struct Region {
+    corner: [usize; 3],
+    dims: [usize; 3],
+}
+
+impl Region {
+    fn of(job: &Job) -> Result<Region, NullifyError> {
+        let Some((mut low, high)) = job.initial.or(&job.target).extent() else {
+            return Err(NullifyError::Empty);
+        };
+        let base = (-job.frame.origin.z / job.frame.pitch).round().max(0.0) as usize;
+        let voxels = job.target.iter_ones().take_while(|v| v[2] < base).count();
+        if voxels > 0 {
+            return Err(NullifyError::BelowBase { voxels });
+        }
+        low[2] = base;
+        let dims = std::array::from_fn(|a| (high[a] + 1).saturating_sub(low[a]).max(1));
+        Ok(Region { corner: low, dims })
+    }
+
+    fn cut(&self, grid: &BitGrid) -> BitGrid {
+        let inside = |v: [usize; 3]| {
+            let p = std::array::from_fn(|a| (v[a] + self.corner[a]) as i64);
+            grid.get_or_empty(p)
+        };
+        BitGrid::from_fn(self.dims, inside)
+    }
+}
+
+/// The sequence for a job from its initial part.
+pub(super) fn sequence(job: &Job, options: &Options, ctx: &Ctx) -> Result<Sequence, PlanError> {
+    let region = Region::of(job)?;
+    let target = region.cut(&job.target);
+    let initial = region.cut(&job.initial);
+    let (operations, reused) = if initial.is_empty() {
+        (super::operations(&target, options, ctx)?, 0)
+    } else {
+        from_initial(&initial, &target, options, ctx)?
+    };
+    let deposited = operations.iter().filter(|op| op.deed == Deed::Add).count();
+    Ok(Sequence {
+        corner: region.corner,
+        dims: region.dims,
+        supports: (deposited + reused).saturating_sub(target.count()),
+        switches: patches::switches(&operations),
+        operations,
+        reused,
+        tries: 1,
+    })
+}
+
+/// Operations from `initial`, and how much of it they keep.
+pub(super) fn from_initial(
+    initial: &BitGrid,
+    target: &BitGrid,
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<(Vec<Operation>, usize), PlanError> {
+    check(target, options)?;
+    let common = initial.and(target);
+    let mut layer = Some(target.dims()[2]);
+    while let Some(most) = layer {
+        let (floor, kept) = largest_below(&common, target, most);
+        if let Some(operations) =
+            through(initial, target, &Kept { floor, solid: &kept }, options, ctx)?
+        {
+            return Ok((operations, kept.count()));
+        }
+        layer = floor.checked_sub(1);
+    }
+    let nothing = BitGrid::new(target.dims());
+    match through(initial, target, &Kept { floor: 0, solid: &nothing }, options, ctx)? {
+        Some(operations) => Ok((operations, 0)),
+        None => Err(NullifyError::NotFreed.into()),
+    }
+}
+
+/// The cut to what is kept, then the way from there to the target; none when either fails.
+fn through(
+    initial: &BitGrid,
+    target: &BitGrid,
+    kept: &Kept,
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<Option<Vec<Operation>>, PlanError> {
+    ctx.check()?;
+    let Some(mut operations) = freed(initial, kept.solid, options) else { return Ok(None) };
+    Ok(match nullified(target, Some(kept), options, ctx)? {
+        Ok(built) => {
+            operations.extend(built);
+            Some(operations)
+        }
+        Err(_) => None,
+    })
+}
+
+/// The largest stable part of `common` with nothing above layer h ≤ `layer` and all of the
+/// target below it, with its h.
+fn largest_below(common: &BitGrid, target: &BitGrid, layer: usize) -> (usize, BitGrid) {
+    let mut h = layer;
+    loop {
+        let below = |g: &BitGrid| {
+            let mut cut = g.clone();
+            g.iter_ones().filter(|v| v[2] > h).for_each(|v| cut.set(v, false));
+            cut
+        };
+        let mut base = common.clone();
+        common.iter_ones().filter(|v| v[2] > 0).for_each(|v| base.set(v, false));
+        let kept = flood(&below(common), &base, Connectivity::Edge18);
+        let missing = target.minus(&kept);
+        let first = missing.extent().map_or(h, |(low, _)| low[2]);
+        if first >= h {
+            return (h, kept);
+        }
+        h = first;
+    }
+}
+
+/// Cuts that leave `kept` of `initial`; none when the cutter does not reach everything.
+fn freed(initial: &BitGrid, kept: &BitGrid, options: &Options) -> Option<Vec<Operation>> {
+    let mut w = Workpiece::new(initial, options.length);
+    let distance = distances(&w, initial, kept)?;
+    let mut left: Vec<Cell> =
+        initial.minus(kept).iter_ones().map(|v| w.cell(v.map(|c| c as i32))).collect();
+    // What is furthest from V_R goes first, the highest of equals.
+    left.sort_unstable_by_key(|c| (std::cmp::Reverse(distance[*c as usize]), *c));
+    let mut operations = Vec::with_capacity(left.len());
+    while !left.is_empty() {
+        let before = left.len();
+        left.retain(|&cell| {
+            let way = w.ways(cell).any();
+            let Some(way) = way.filter(|_| spare(&w, &distance, cell)) else { return true };
+            w.remove(cell);
+            let voxel = w.voxel(cell).map(|c| c as u16);
+            operations.push(Operation { voxel, deed: Deed::Cut(way) });
+            false
+        });
+        if left.len() == before {
+            return None;
+        }
+    }
+    Some(operations)
+}
+
+/// Whether every neighbour that is further keeps another that is nearer than itself.
+fn spare(w: &Workpiece, distance: &[u32], cell: Cell) -> bool {
+    let d = |c: Cell| distance[c as usize];
+    w.neighbours(cell)
+        .into_iter()
+        .filter(|n| w.solid(*n) && d(*n) > d(cell))
+        .all(|n| w.neighbours(n).into_iter().any(|m| m != cell && w.solid(m) && d(m) < d(n)))
+}
+
+/// Breadth-first distance from `kept` and the base layer; none when something hangs on neither.
+fn distances(w: &Workpiece, initial: &BitGrid, kept: &BitGrid) -> Option<Vec<u32>> {
+    let mut distance = vec![u32::MAX; w.len()];
+    let mut open = VecDeque::new();
+    let mut reached = 0;
+    for v in initial.iter_ones().filter(|v| v[2] == 0 || kept.get(*v)) {
+        let cell = w.cell(v.map(|c| c as i32));
+        distance[cell as usize] = 0;
+        open.push_back(cell);
+    }
+    while let Some(cell) = open.pop_front() {
+        reached += 1;
+        for n in w.neighbours(cell) {
+            if w.solid(n) && distance[n as usize] == u32::MAX {
+                distance[n as usize] = distance[cell as usize] + 1;
+                open.push_back(n);
+            }
+        }
+    }
+    (reached == initial.count()).then_some(distance)
+}
