@@ -122,11 +122,17 @@ fn bad_parts_are_bad_input() {
 }
 
 #[test]
-fn one_part_asks_for_a_planner_this_version_lacks() {
+fn one_part_is_nullified_unless_told_otherwise() {
     let out = tempfile::tempdir().unwrap();
+    let mut one = hmplan();
+    one.args(["plan", "fixtures/bearing_target.obj", "--resolution", "2", "--json", "-o"]);
+    let done = one.arg(out.path().join("d")).assert().code(0).get_output().stdout.clone();
+    let summary: serde_json::Value = serde_json::from_slice(&done).unwrap();
+    assert_eq!(summary["planner"], "nullify");
+    assert_eq!(summary["residual_mm3"], 0.0);
     let mut command = hmplan();
-    command.args(["plan", "fixtures/bearing_target.obj", "-o"]).arg(out.path().join("d"));
-    refused(&mut command, "give two parts");
+    command.args(["plan", "fixtures/bearing_target.obj", "--planner", "reman", "-o"]);
+    refused(command.arg(out.path().join("e")), "give INITIAL and TARGET");
 }
 
 #[test]

@@ -60,6 +60,7 @@ impl Core {
                 let dialect = self.setup.control;
                 if let Some(p) = self.peer(device) {
                     p.link.receive_buffer(dialect, *bytes);
+                    p.told[1] = true;
                 }
             }
             Reply::Paused if !self.waits => {
@@ -168,6 +169,11 @@ impl Core {
                     Some(Greeting::Asking(n)) => n,
                     _ => return,
                 };
+                // Counted on, one answer too many would let the window run over.
+                if self.peer(device).is_some_and(|p| p.told == [true, false]) {
+                    let what = "an answer to nothing it was asked".into();
+                    return self.fail(Ending::Garbled { device, what }, out);
+                }
                 if asked < ASKS {
                     self.ask(device, asked + 1, out);
                 } else if self.setup.check {
@@ -184,6 +190,7 @@ impl Core {
     fn ask(&mut self, device: Device, n: u8, out: &mut Vec<Action>) {
         if let Some(p) = self.peer(device) {
             p.greeting = Greeting::Asking(n);
+            p.told = [p.told[0] || p.told[1], false];
         }
         self.write(device, Tag::Ask, "$I", out);
     }

@@ -29,6 +29,8 @@ struct Peer {
     heard: Micros,
     wrote: Micros,
     hung_up: bool,
+    /// Whether it told its receive buffer when asked before, and since it was asked last.
+    told: [bool; 2],
     greeting: Greeting,
 }
 
@@ -110,6 +112,7 @@ impl Core {
             heard: 0,
             wrote: 0,
             hung_up: false,
+            told: [false; 2],
             greeting: Greeting::Banner,
         };
         Core {
