@@ -8,9 +8,10 @@
 //! Numbered dialects and those that repeat what they read see every damaged byte, so there the
 //! prefix is exact whatever happens (one damaged byte a line: the exclusive or is blind to two that
 //! cancel). Once in 256 the sum of two lines that lost the end between them agrees: then the job
-//! ends with that line named as refused, and what was on the wire behind it has run. A device that begins anew loses what arrives while it boots; one that is reset without
-//! booting may run what was on the wire, which no sender can call back. grbl, grblHAL and the plain dialect have no checksum; a damaged line that is still a
-//! valid block cannot be told from a good one by anything in the protocol. There the prefix is
+//! ends with that line named as refused, and what was on the wire behind it has run. A device that
+//! begins anew loses what arrives while it boots; one that is reset without booting may run what
+//! was on the wire, which no sender can call back. grbl, grblHAL and the plain dialect have no
+//! checksum; a damaged line that is still a valid block cannot be told from a good one by anything in the protocol. There the prefix is
 //! asked of the lines before the first damaged byte, and a success in spite of damage is allowed
 //! but counted, and must stay rare.
 

@@ -9,7 +9,7 @@
 //! a pause, a tool change or the extruder's codes; after an error, an alarm or a banner only what
 //! stops the machine is written; a job is done only when every line is answered and the machine is
 //! at rest; a peer that stops talking ends the job in bounded time. Lines with numbers and checksums
-//! are run once each and in order.
+//! are run once each and in order, as far as a checksum of eight bits tells.
 //!
 //! Not guaranteed: grbl, grblHAL and plain boards have no checksum, so that a damaged block which is
 //! still valid is seen only when the device repeats what it reads or ends elsewhere; bytes already

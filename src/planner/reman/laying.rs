@@ -62,14 +62,16 @@ pub struct Layer<'s> {
 impl Layer<'_> {
     /// Indices of the ways that lay any of the core, the one that lays most first.
     pub fn ranked(&self, ways: &[Way], ctx: &Ctx) -> Result<Vec<usize>, Cancelled> {
-        let gains: Vec<usize> = ways
-            .par_iter()
-            .map(|way| {
-                ctx.check()?;
-                Ok(self.lay(*way).gain)
-            })
-            .collect::<Result<_, Cancelled>>()?;
-        Ok(descending(&gains))
+        Ok(descending(&self.gains(ways, ctx)?))
+    }
+
+    /// Voxels of the core that each way lays.
+    fn gains(&self, ways: &[Way], ctx: &Ctx) -> Result<Vec<usize>, Cancelled> {
+        let gain = |way: &Way| {
+            ctx.check()?;
+            Ok(self.lay(*way).gain)
+        };
+        ways.par_iter().map(gain).collect()
     }
 
     /// The few ways whose nozzles stand clear at most of what is left of the core.
@@ -96,13 +98,7 @@ impl Layer<'_> {
 
     /// The block that lays most of the core; of equals the first, none where nothing is laid.
     pub fn best<'a>(&self, ways: &[Way<'a>], ctx: &Ctx) -> Result<Option<Block<'a>>, Cancelled> {
-        let gains: Vec<usize> = ways
-            .par_iter()
-            .map(|way| {
-                ctx.check()?;
-                Ok(self.lay(*way).gain)
-            })
-            .collect::<Result<_, Cancelled>>()?;
+        let gains = self.gains(ways, ctx)?;
         let best = (0..ways.len()).max_by_key(|&i| (gains[i], std::cmp::Reverse(i)));
         Ok(best.filter(|i| gains[*i] > 0).map(|i| self.lay(ways[i])))
     }

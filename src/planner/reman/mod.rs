@@ -21,6 +21,8 @@
 //!   nothing do the planes move, by 30 % of their distance to the base as in the paper.
 //! - Additive blocks are what one direction lays from below on the state before it, the largest
 //!   first; the paper takes two decompositions from elsewhere.
+//!   While little is left, printing is tried again with a later block's space left free.
+//! - A cut that would free a piece it does not reach leaves a bridge to it (`bridges`).
 //! - Directions are ranked on a coarser grid (`coarse`), and the blocks made on the job's own.
 //!
 //! Guarantees: each step's voxels are accessible, carried and clear when the step is made, by the

@@ -1,4 +1,4 @@
-//! One round of the planner: planes are given; cut, print, and cut the supports away.
+//! One round of the planner: planes are given; cut, then print.
 
 use super::coarse::Coarse;
 use super::cutting::cut_blocks;
