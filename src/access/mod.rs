@@ -20,6 +20,7 @@ mod additive;
 mod allowance_tests;
 mod collateral;
 mod columns;
+mod depend;
 mod depth;
 mod filter;
 mod lattice;
@@ -36,6 +37,7 @@ mod voxel_tool;
 
 pub use additive::{CarrierTable, supported};
 pub use collateral::{Collateral, collateral};
+pub use depend::{CellSet, Cells, Demand, DependencyGraph, Reachers};
 pub use depth::{cutter_map, cutter_maps, nozzle_map};
 pub use lattice::DepthMap;
 pub use mesh_tool::{MeshTool, MeshToolError};

@@ -83,6 +83,15 @@ pub struct PlanArgs {
     #[command(flatten)]
     pub rules: RuleArgs,
 
+    /// How planner reman places local clipping planes; the others are there to compare with
+    #[arg(long, value_enum, default_value_t = SearchArg::Mcts, help_heading = "Search")]
+    pub search: SearchArg,
+    /// How planner reman chooses global clipping planes
+    #[arg(long, value_enum, default_value_t = SetCoverArg::Ilp, help_heading = "Search")]
+    pub set_cover: SetCoverArg,
+    /// What the setup search scores: reused volume and printing bases, or one of them alone
+    #[arg(long, value_enum, default_value_t = SetupScoreArg::Both, help_heading = "Search")]
+    pub setup_score: SetupScoreArg,
     /// Iterations of the search for local planes
     #[arg(long, default_value_t = 500, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=10_000_000), help_heading = "Search")]
@@ -304,6 +313,37 @@ pub enum Planner {
     Nullify,
     /// Alternating blocks with few changes of process
     Blocks,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SearchArg {
+    /// Local planes by Monte Carlo tree search
+    Mcts,
+    /// Local planes drawn at random
+    Random,
+    /// Global planes, shifted toward the base until everything is reached
+    #[value(name = "topdown")]
+    TopDown,
+    /// One plane, moved outward as long as everything is reached
+    #[value(name = "bottomup")]
+    BottomUp,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SetCoverArg {
+    /// Least weight, proven
+    Ilp,
+    /// Base by base the lightest plane
+    Greedy,
+    /// One plane for all bases
+    Single,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SetupScoreArg {
+    Both,
+    Volume,
+    Base,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -7,7 +7,7 @@ use super::profiles;
 use hmplan::base::DMat3;
 use hmplan::machine::{BaseKind, HoldingMode, Machine, Tool, ToolKind};
 use hmplan::plan::Command;
-use hmplan::planner::nullify;
+use hmplan::planner::{nullify, reman, setup};
 use std::path::{Path, PathBuf};
 
 /// One part as it is to be read.
@@ -42,7 +42,9 @@ pub struct PlanConfig {
     pub nozzles: Vec<Tool>,
     pub resolution_mm: Option<f64>,
     pub rules: RuleConfig,
-    pub iterations: usize,
+    /// What planner reman is told.
+    pub reman: reman::Options,
+    pub setup_score: setup::Score,
     pub time_limit_s: Option<f64>,
     pub seed: u64,
     pub post_unverified: bool,
@@ -62,7 +64,7 @@ impl PlanConfig {
             }
             .into(),
             resolution_mm: self.resolution_mm,
-            iterations: self.iterations,
+            iterations: self.reman.iterations,
             time_limit_s: self.time_limit_s,
             post_unverified: self.post_unverified,
         }
@@ -125,7 +127,27 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
             tolerance_mm: args.rules.tolerance,
             grip_mm: args.rules.grip,
         },
-        iterations: args.iterations as usize,
+        reman: reman::Options {
+            iterations: args.iterations as usize,
+            search: match args.search {
+                args::SearchArg::Mcts => reman::Search::Mcts,
+                args::SearchArg::Random => reman::Search::Random,
+                args::SearchArg::TopDown => reman::Search::TopDown,
+                args::SearchArg::BottomUp => reman::Search::BottomUp,
+            },
+            cover: match args.set_cover {
+                args::SetCoverArg::Ilp => reman::CoverMethod::Ilp,
+                args::SetCoverArg::Greedy => reman::CoverMethod::Greedy,
+                args::SetCoverArg::Single => reman::CoverMethod::Single,
+            },
+            seed: args.seed,
+            ..reman::Options::default()
+        },
+        setup_score: match args.setup_score {
+            args::SetupScoreArg::Both => setup::Score::Both,
+            args::SetupScoreArg::Volume => setup::Score::Volume,
+            args::SetupScoreArg::Base => setup::Score::Base,
+        },
         time_limit_s: args.time_limit,
         seed: args.seed,
         post_unverified: args.post_unverified,

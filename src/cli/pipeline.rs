@@ -30,7 +30,11 @@ pub fn search_setup(
     config: &PlanConfig,
     ctx: &Ctx,
 ) -> Result<SetupReport, Failure> {
-    let mut options = SetupOptions { holding: config.rules.holding, ..SetupOptions::default() };
+    let mut options = SetupOptions {
+        holding: config.rules.holding,
+        score: config.setup_score,
+        ..SetupOptions::default()
+    };
     options.grip_mm = config.rules.grip_mm.unwrap_or(options.grip_mm);
     setup::search(initial, target, &options, ctx).map_err(failure)
 }
@@ -45,7 +49,7 @@ pub fn plan(
     if let Some(options) = &config.nullify {
         return nullified(job, options, config.schedule.is_some(), ctx, clock);
     }
-    let (plan, report) = reman::plan(job, &reman::Options::default(), ctx).map_err(failure)?;
+    let (plan, report) = reman::plan(job, &config.reman, ctx).map_err(failure)?;
     for (stage, seconds) in &report.seconds {
         if !clock.seconds.add(stage, *seconds) {
             tracing::debug!("stage {stage}: {seconds:.2} s");

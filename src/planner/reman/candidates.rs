@@ -1,5 +1,6 @@
 //! Candidate clipping planes and their choice (W2V Sec. 4.1, Eq. 2).
 
+use super::CoverMethod;
 use super::setting::Setting;
 use crate::base::{DVec3, Direction};
 use crate::machine::HoldingMode;
@@ -43,6 +44,7 @@ pub fn cover(
     reused: &BitGrid,
     elements: &[Element],
     normals: &[Direction],
+    method: CoverMethod,
 ) -> Result<Cover, PlanError> {
     if elements.is_empty() {
         return Ok(Cover { planes: Vec::new(), uncovered: Vec::new() });
@@ -64,8 +66,37 @@ pub fn cover(
             covers: c.set.covers.iter().filter_map(|e| coverable.binary_search(e).ok()).collect(),
         })
         .collect();
-    let chosen = set_cover(coverable.len(), &sets)?;
+    let chosen = match method {
+        CoverMethod::Ilp => set_cover(coverable.len(), &sets)?,
+        CoverMethod::Greedy => greedy(coverable.len(), &sets),
+        CoverMethod::Single => match single(coverable.len(), &sets) {
+            Some(i) => vec![i],
+            None => set_cover(coverable.len(), &sets)?,
+        },
+    };
     Ok(Cover { planes: chosen.iter().map(|i| candidates[*i].plane).collect(), uncovered })
+}
+
+/// Element by element, of those not covered yet, the lightest set that has it.
+fn greedy(elements: usize, sets: &[WeightedSet]) -> Vec<usize> {
+    let mut chosen: Vec<usize> = Vec::new();
+    for e in 0..elements {
+        let has = |i: &usize| sets[*i].covers.binary_search(&e).is_ok();
+        if !chosen.iter().any(has) {
+            chosen.extend(lightest(sets, (0..sets.len()).filter(has)));
+        }
+    }
+    chosen.sort_unstable();
+    chosen
+}
+
+/// The lightest set that has all elements.
+fn single(elements: usize, sets: &[WeightedSet]) -> Option<usize> {
+    lightest(sets, (0..sets.len()).filter(|i| sets[*i].covers.len() == elements))
+}
+
+fn lightest(sets: &[WeightedSet], of: impl Iterator<Item = usize>) -> Option<usize> {
+    of.reduce(|a, b| if sets[b].weight < sets[a].weight { b } else { a })
 }
 
 /// Voxel centres that a plane must not cut away: the base contact in the holding that keeps it.

@@ -31,24 +31,36 @@
 
 mod bridges;
 mod candidates;
+mod clip;
 mod coarse;
+mod compared;
 mod cutting;
+mod global;
 mod laying;
+mod local;
+#[cfg(test)]
+mod local_tests;
+mod locals;
 mod printing;
 mod reasons;
+mod refine;
 mod round;
 mod setting;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
-use crate::plan::{Job, Plan, Plane};
+use crate::plan::{Job, Plan};
 use crate::planner::PlanError;
-use crate::region::{PrintingBase, Volumes, printing_bases};
-use crate::voxel::{BitGrid, Connectivity, components};
-use candidates::{Element, cover};
+use crate::region::{PrintingBase, printing_bases};
+use crate::voxel::BitGrid;
+use candidates::Element;
+use clip::Clip;
 use coarse::Coarse;
+use compared::{bottom_up, top_down};
+use global::{choose, global_route};
+use locals::{improved, is_complete, local_route};
 use reasons::reasons;
-use round::{Attempt, attempt, deep, volumes};
+use round::{deep, volumes};
 use setting::Setting;
 use std::time::Instant;
 
@@ -56,11 +68,48 @@ use std::time::Instant;
 pub struct Options {
     /// Sampled directions per hemisphere, and normals of candidate planes (W2V Sec. 7.1: 100).
     pub directions: usize,
+    /// Choices of local planes that a search judges (W2V Sec. 7.1: 500).
+    pub iterations: usize,
+    pub search: Search,
+    pub cover: CoverMethod,
+    pub seed: u64,
+}
+
+/// How planes are placed (W2V Fig. 14, 16).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Search {
+    /// Local planes by Monte Carlo tree search.
+    #[default]
+    Mcts,
+    /// Local planes drawn at random.
+    Random,
+    /// The global planes of the set cover, all shifted toward the base until everything is reached.
+    TopDown,
+    /// One global plane, moved outward from nothing reused as long as everything is reached.
+    BottomUp,
+}
+
+/// How clipping planes are chosen for the bases (W2V Fig. 15).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CoverMethod {
+    /// Least weight, proven.
+    #[default]
+    Ilp,
+    /// Base by base the lightest plane that covers it.
+    Greedy,
+    /// The lightest plane that covers them all; where there is none, of least weight.
+    Single,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Options { directions: 100 }
+        Options {
+            directions: 100,
+            iterations: 500,
+            search: Search::Mcts,
+            cover: CoverMethod::Ilp,
+            seed: 0,
+        }
     }
 }
 
@@ -78,25 +127,41 @@ pub struct Report {
     pub planes_global: usize,
     /// #C_a.
     pub planes_local: usize,
+    /// Choices of local planes judged.
+    pub judged: usize,
     /// Stage names and wall seconds.
     pub seconds: Vec<(&'static str, f64)>,
     pub notes: Vec<String>,
 }
 
-/// Rounds of cover, cut and print; the second covers what the first could not reach. A part that
-/// needs more ends with its residual: on real brackets a third round never left less, since each
-/// plane gives up more, and more is then hard to print.
-const ROUNDS: usize = 2;
-
-/// A round that leaves more than this share of the target is the last: on real brackets such a
-/// plan is not mended by another plane, and the round costs as much as the first.
+/// A round of global planes that leaves more than this share of the target is the last: on real
+/// brackets such a plan is not mended by another plane, and the round costs as much as the first.
+/// Nor is printing tried again then with some space left free.
 const MENDABLE_SHARE: f64 = 0.02;
-
-/// Share of its distance to the base by which a plane moves when a new cover changes nothing.
-const SHIFT_SHARE: f64 = 0.3;
 
 /// Edge in mm of the cells in which inaccessible material is counted (W2V samples every 2 mm).
 const COUNT_CELL_MM: f64 = 2.0;
+
+/// What every route starts from.
+struct Start<'a> {
+    setting: &'a Setting<'a>,
+    coarse: &'a Coarse,
+    /// Directions in which blocks are tried first.
+    preferred: Vec<Direction>,
+    /// Printing bases that are not plano-convex.
+    bad_bases: Vec<Element>,
+}
+
+/// What a route is handed.
+struct Run<'a> {
+    start: &'a Start<'a>,
+    /// Normals of candidate planes.
+    normals: &'a [Direction],
+    options: &'a Options,
+    report: Report,
+    clock: Clock,
+    ctx: &'a Ctx,
+}
 
 /// Plans the job; what could not be reached is left for the verifier to measure.
 pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), PlanError> {
@@ -112,53 +177,43 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let mut preferred = vec![Direction::Z];
     let good = bases.iter().filter(|b| b.plano_convex);
     preferred.extend(good.flat_map(|b| b.facets.iter().map(|f| f.normal)));
-    let mut elements: Vec<Element> = bases
+    let bad_bases: Vec<Element> = bases
         .iter()
         .filter(|b| !b.plano_convex)
         .map(|b| Element { points: b.points.clone() })
         .collect();
     clock.lap("graph");
     let normals = plane_normals(job, options.directions);
-    let mut planes = choose(&setting, &first, &elements, &normals, &mut report)?;
+    let planes = choose(&setting, &first, &bad_bases, &normals, options, &mut report)?;
+    let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
+    let initial = volumes(job, &clips).reused.count();
+    report.reuse_initial = initial as f64 / job.target.count() as f64;
+    report.planes_global = planes.len();
     clock.lap("set_cover");
-    let mut best: Option<Attempt> = None;
-    for round in 0..ROUNDS {
-        ctx.check()?;
-        let attempt = attempt(&setting, &coarse, planes.clone(), &preferred, options, ctx)?;
-        clock.lap("blocks");
-        if round == 0 {
-            let share = attempt.volumes.reused.count() as f64 / job.target.count() as f64;
-            report.reuse_initial = share;
-            report.inaccessible_sm = cells(job, &attempt.excess);
-            report.inaccessible_am = cells(job, &attempt.deficit);
+    let start = Start { setting: &setting, coarse: &coarse, preferred, bad_bases };
+    let mut run = Run { start: &start, normals: &normals, options, report, clock, ctx };
+    let best = match options.search {
+        Search::Mcts | Search::Random => {
+            let global = global_route(&mut run, &first)?;
+            let kept = global.volumes.reused.count() as f64;
+            let most = first.reused.count() as f64;
+            let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
+            let enough = is_complete(&global, job) && !more;
+            let local = match !enough && !ctx.out_of_time() {
+                true => local_route(&mut run, &global)?,
+                false => None,
+            };
+            match local {
+                Some(local) if local.rank(job) < global.rank(job) => local,
+                _ if enough => global,
+                _ => improved(&mut run, global)?,
+            }
         }
-        tracing::debug!(
-            round,
-            planes = attempt.planes.len(),
-            reused = attempt.volumes.reused.count(),
-            excess = attempt.excess.count(),
-            deficit = attempt.deficit.count(),
-            steps = attempt.steps.len(),
-            laps = ?clock.laps,
-            "round"
-        );
-        let residual = attempt.residual();
-        let hopeless = residual as f64 > MENDABLE_SHARE * job.target.count() as f64;
-        let done = residual == 0 || hopeless;
-        if best.as_ref().is_none_or(|b| attempt.rank(job) < b.rank(job)) {
-            best = Some(attempt);
-        }
-        if done || ctx.out_of_time() {
-            break;
-        }
-        elements
-            .extend(best.iter().flat_map(|b| clusters(job, &b.excess.minus(&b.below), &b.deficit)));
-        let next = choose(&setting, &first, &elements, &normals, &mut report)?;
-        planes = if next == planes { shifted(&setting, &planes) } else { next };
-        clock.lap("set_cover");
-    }
-    let Some(best) = best else { return Err(PlanError::Cancelled) };
-    report.planes_global = best.planes.len();
+        Search::TopDown => top_down(&mut run, planes)?,
+        Search::BottomUp => bottom_up(&mut run)?,
+    };
+    let Run { mut report, clock, .. } = run;
+    report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     let (excess, deficit) = (&best.excess, &best.deficit);
     report.notes.extend(reasons(&setting, excess, &best.below, deficit));
     report.seconds = clock.laps;
@@ -198,63 +253,18 @@ fn plane_normals(job: &Job, count: usize) -> Vec<Direction> {
     normals
 }
 
-fn choose(
-    setting: &Setting,
-    first: &Volumes,
-    elements: &[Element],
-    normals: &[Direction],
-    report: &mut Report,
-) -> Result<Vec<Plane>, PlanError> {
-    let found = cover(setting, &first.reused, elements, normals)?;
-    // The last cover knows all regions, so its note stands for those before it.
-    report.notes.clear();
-    if !found.uncovered.is_empty() {
-        report.notes.push(format!(
-            "{} of {} regions lie beside the base contact and no clipping plane clears them",
-            found.uncovered.len(),
-            elements.len()
-        ));
-    }
-    Ok(found.planes)
-}
-
-/// Every plane moved toward the base by a share of its distance to it.
-fn shifted(setting: &Setting, planes: &[Plane]) -> Vec<Plane> {
-    let job = setting.job;
-    let contact = setting.holdings[0].contact(&job.ideal_reuse(), &job.frame, job.rules.grip_mm);
-    planes
-        .iter()
-        .map(|p| {
-            let base = contact
-                .iter_ones()
-                .map(|v| p.normal.dot(job.frame.center(v)))
-                .fold(f64::NEG_INFINITY, f64::max);
-            let distance = (p.offset - base).max(0.0);
-            Plane { normal: p.normal, offset: p.offset - SHIFT_SHARE * distance }
-        })
-        .collect()
-}
-
-/// Each connected piece of what is left, as an element to cover.
-fn clusters(job: &Job, excess: &BitGrid, deficit: &BitGrid) -> Vec<Element> {
-    let mut elements = Vec::new();
-    for left in [excess, deficit] {
-        let parts = components(left, Connectivity::Corner26);
-        let mut points = vec![Vec::new(); parts.count()];
-        for v in left.boundary().iter_ones() {
-            if let Some(l) = parts.label_of(v) {
-                points[l as usize].push(job.frame.center(v));
-            }
-        }
-        elements.extend(points.into_iter().map(|points| Element { points }));
-    }
-    elements
-}
-
 fn base_height_ratio(job: &Job, bases: &[PrintingBase]) -> Option<f64> {
     let lowest = bases.iter().flat_map(|b| &b.points).map(|p| p.z).reduce(f64::min)?;
     let (_, top) = job.initial.extent()?;
     Some(lowest / (job.frame.center(top).z + job.frame.pitch / 2.0))
+}
+
+impl Report {
+    /// #P_S and #P_A, from what blocks leave while all that the global planes keep stands.
+    fn count_inaccessible(&mut self, job: &Job, excess: &BitGrid, deficit: &BitGrid) {
+        self.inaccessible_sm = cells(job, excess);
+        self.inaccessible_am = cells(job, deficit);
+    }
 }
 
 /// Number of 2 mm cells that hold any of `set`.

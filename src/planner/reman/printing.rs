@@ -99,14 +99,7 @@ pub fn print_blocks(
         held: None,
     };
     if !shares.is_empty() {
-        let mut others = wanted.added.clone();
-        shares.iter().for_each(|s| others.subtract(&s.region));
-        press.print_among(&others, ctx)?;
-        for (i, share) in shares.iter().enumerate() {
-            let mut own = share.region.clone();
-            shares[i + 1..].iter().for_each(|later| own.subtract(&later.region));
-            press.print_share(share.direction, &own, ctx)?;
-        }
+        press.print_shares(shares, ctx)?;
     }
     press.print_among(wanted.added, ctx)?;
     Ok(press.printing)
@@ -154,6 +147,18 @@ impl<'a> Press<'_, 'a> {
             let block = self.fine(&left, &fixed).with_shorter(block, self.shorter);
             self.take(block, left, fixed);
         }
+    }
+
+    fn print_shares(&mut self, shares: &[Share], ctx: &Ctx) -> Result<(), Cancelled> {
+        let mut others = self.wanted.added.clone();
+        shares.iter().for_each(|s| others.subtract(&s.region));
+        self.print_among(&others, ctx)?;
+        for (i, share) in shares.iter().enumerate() {
+            let mut own = share.region.clone();
+            shares[i + 1..].iter().for_each(|later| own.subtract(&later.region));
+            self.print_share(share.direction, &own, ctx)?;
+        }
+        Ok(())
     }
 
     fn print_share(

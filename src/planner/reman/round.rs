@@ -1,5 +1,6 @@
 //! One round of the planner: planes are given; cut, then print.
 
+use super::clip::Clip;
 use super::coarse::Coarse;
 use super::cutting::cut_blocks;
 use super::printing::{Printing, Share, Wanted, print_blocks};
@@ -7,18 +8,25 @@ use super::reasons::open_below;
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options};
 use crate::base::{Ctx, Direction};
-use crate::plan::{Job, Plane, Step};
+use crate::plan::{Job, Step};
 use crate::planner::PlanError;
-use crate::region::{Volumes, above};
+use crate::region::Volumes;
 use crate::voxel::{BitGrid, Connectivity, components, distance_within};
 
 /// Printing is tried again, with some space left free, while all tries together lay at most so
 /// many voxels: seconds on two cores. Large parts get none, they would wait for minutes.
 const MENDING_VOXELS: usize = 400_000;
 
+/// What is left standing or missing counts as much as so many times its volume printed anew: it is
+/// work by hand, or scrap. At 1 a plan would rather miss the tip of an ear than print it.
+const RESIDUAL_WEIGHT: usize = 10;
+
+/// Share of the target that may be given up to leave nothing at all.
+const COMPLETION_SHARE: f64 = 0.05;
+
 /// One round: planes, and the blocks made under them.
 pub struct Attempt {
-    pub planes: Vec<Plane>,
+    pub clips: Vec<Clip>,
     pub volumes: Volumes,
     pub steps: Vec<Step>,
     /// Deep material left standing or missing.
@@ -34,17 +42,45 @@ impl Attempt {
         self.excess.count() - self.below.count() + self.deficit.count()
     }
 
-    /// Complete before valid before neither; of complete and of valid ones more reuse first, of
-    /// the others less residual.
-    pub fn rank(&self, job: &Job) -> (u8, usize, std::cmp::Reverse<usize>) {
+    /// Says how it went.
+    pub fn tell(&self, route: &str, round: usize) {
+        tracing::debug!(
+            route,
+            round,
+            planes = self.clips.len(),
+            reused = self.volumes.reused.count(),
+            excess = self.excess.count(),
+            deficit = self.deficit.count(),
+            steps = self.steps.len(),
+            "round"
+        );
+    }
+
+    /// Complete before valid before neither; complete ones by what they give up, valid ones by what
+    /// they give up and, [`RESIDUAL_WEIGHT`] times, by what they leave, the others by what they
+    /// leave.
+    pub fn rank(&self, job: &Job) -> (u8, usize) {
         let residual = self.residual();
-        let reused = std::cmp::Reverse(self.volumes.reused.count());
+        let given_up = job.target.count().saturating_sub(self.volumes.reused.count());
         let valid = residual as f64 <= job.rules.deviation * job.target.count() as f64;
         match (residual, valid) {
-            (0, _) => (0, 0, reused),
-            (_, true) => (1, 0, reused),
-            (n, false) => (2, n, reused),
+            (0, _) => (0, given_up),
+            (_, true) => (1, given_up + RESIDUAL_WEIGHT * residual),
+            (n, false) => (2, n),
         }
+    }
+
+    /// Whether what it leaves is within the rules' deviation.
+    pub fn is_valid(&self, job: &Job) -> bool {
+        self.rank(job).0 < 2
+    }
+
+    /// Voxels that a plan with less residual may give up more and still be worth a try; none where
+    /// it may give up all.
+    pub fn worth(&self, job: &Job) -> Option<usize> {
+        let (rank, residual) = (self.rank(job).0, self.residual());
+        let share = (COMPLETION_SHARE * job.target.count() as f64) as usize;
+        (rank < 2).then_some(share.max(RESIDUAL_WEIGHT * residual))
     }
 }
 
@@ -52,15 +88,38 @@ impl Attempt {
 pub fn attempt(
     setting: &Setting,
     coarse: &Coarse,
-    planes: Vec<Plane>,
+    clips: Vec<Clip>,
     preferred: &[Direction],
     options: &Options,
     ctx: &Ctx,
 ) -> Result<Attempt, PlanError> {
+    made(setting, coarse, clips, preferred, (options, MENDING_VOXELS), ctx)
+}
+
+/// The same without a second try at what printing leaves: for a look at what planes are worth.
+pub fn quick_attempt(
+    setting: &Setting,
+    coarse: &Coarse,
+    clips: Vec<Clip>,
+    preferred: &[Direction],
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<Attempt, PlanError> {
+    made(setting, coarse, clips, preferred, (options, 0), ctx)
+}
+
+fn made(
+    setting: &Setting,
+    coarse: &Coarse,
+    clips: Vec<Clip>,
+    preferred: &[Direction],
+    (options, mending): (&Options, usize),
+    ctx: &Ctx,
+) -> Result<Attempt, PlanError> {
     let job = setting.job;
-    let volumes = volumes(job, &planes);
+    let volumes = volumes(job, &clips);
     let (deep_removed, added) = deep(job, &volumes);
-    let mut along: Vec<Direction> = planes.iter().map(|p| p.normal).collect();
+    let mut along: Vec<Direction> = clips.iter().map(|c| c.plane.normal).collect();
     along.extend_from_slice(preferred);
     let cutting =
         cut_blocks(setting, coarse, &volumes.removed, &deep_removed, options.directions, ctx)?;
@@ -74,13 +133,13 @@ pub fn attempt(
         preferred: &along,
         samples: options.directions,
     };
-    let printing = printed(setting, coarse, &wanted, ctx)?;
+    let printing = printed(setting, coarse, &wanted, mending, ctx)?;
     let deficit = printing.unreached.minus(&skin);
     let excess = cutting.unreached.minus(&job.target);
     let below = open_below(setting, coarse, &volumes.reused, &excess, ctx)?;
     let mut steps = cutting.steps;
     steps.extend(printing.steps);
-    Ok(Attempt { planes, volumes, steps, excess, deficit, below })
+    Ok(Attempt { clips, volumes, steps, excess, deficit, below })
 }
 
 /// Prints, the largest block first; while that leaves a little, once more with the space of some
@@ -89,13 +148,14 @@ fn printed(
     setting: &Setting,
     coarse: &Coarse,
     wanted: &Wanted,
+    mending: usize,
     ctx: &Ctx,
 ) -> Result<Printing, PlanError> {
     let left = |p: &Printing| p.unreached.count_and(wanted.core);
     let mut shares: Vec<Share> = Vec::new();
     let mut best = print_blocks(setting, coarse, wanted, &shares, ctx)?;
     let most = (MENDABLE_SHARE * setting.job.target.count() as f64) as usize;
-    let mut tries = MENDING_VOXELS / wanted.core.count().max(1);
+    let mut tries = mending / wanted.core.count().max(1);
     'mending: while (1..=most).contains(&left(&best)) {
         for share in best.shares.iter().skip(1) {
             if tries == 0 || ctx.out_of_time() {
@@ -122,12 +182,10 @@ fn printed(
 }
 
 /// The volumes when everything above the planes is given up.
-pub fn volumes(job: &Job, planes: &[Plane]) -> Volumes {
-    let mut reusable = job.ideal_reuse();
-    for p in planes {
-        let cut = above(&reusable, &job.frame, p.normal.vec(), p.offset);
-        reusable.subtract(&cut);
-    }
+pub fn volumes(job: &Job, clips: &[Clip]) -> Volumes {
+    let ideal = job.ideal_reuse();
+    let mut reusable = ideal.clone();
+    clips.iter().for_each(|c| reusable.subtract(&c.clipped(&ideal, &job.frame)));
     let rules = &job.rules;
     Volumes::keeping(&job.initial, &job.target, &reusable, &job.frame, rules.holding, rules.grip_mm)
 }

@@ -52,9 +52,25 @@ use rayon::prelude::*;
 use stance::Stance;
 use std::ops::Range;
 
-/// Weights of both scores (W2V App. D): of the volume, and of the printing bases.
-const VOLUME_WEIGHT: f64 = 0.4;
-const BASE_WEIGHT: f64 = 0.6;
+/// What both scores look at; the weights of the volume and of the printing bases (W2V App. D, and
+/// Fig. 17 for one of them alone).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Score {
+    #[default]
+    Both,
+    Volume,
+    Base,
+}
+
+impl Score {
+    fn weights(self) -> (f64, f64) {
+        match self {
+            Score::Both => (0.4, 0.6),
+            Score::Volume => (1.0, 0.0),
+            Score::Base => (0.0, 1.0),
+        }
+    }
+}
 
 /// Faces to rest on that are tried beside the spread.
 const RESTING: usize = 8;
@@ -101,11 +117,18 @@ pub struct SetupOptions {
     /// search's own grid can see.
     pub grip_mm: f64,
     pub holding: HoldingMode,
+    pub score: Score,
 }
 
 impl Default for SetupOptions {
     fn default() -> Self {
-        SetupOptions { rotations: 100, carried: 5, grip_mm: 2.0, holding: HoldingMode::Base }
+        SetupOptions {
+            rotations: 100,
+            carried: 5,
+            grip_mm: 2.0,
+            holding: HoldingMode::Base,
+            score: Score::Both,
+        }
     }
 }
 
@@ -196,7 +219,7 @@ pub fn search(
 ) -> Result<SetupReport, PlanError> {
     let problem = Problem { initial, target };
     let pair = Pair::new(&problem, options, ctx)?;
-    let stage = Stage { pair: &pair, target, ctx };
+    let stage = Stage { pair: &pair, target, score: options.score, ctx };
     let anchor = Stance::new(initial, DMat3::IDENTITY, pair.grip_mm).foot;
 
     let families = families(&problem, options.rotations, anchor, pair.grip_mm);
@@ -262,6 +285,7 @@ fn turned_bounds(mesh: &TriMesh, rotation: &DMat3) -> Aabb {
 struct Stage<'a> {
     pair: &'a Pair,
     target: &'a TriMesh,
+    score: Score,
     ctx: &'a Ctx,
 }
 
@@ -284,7 +308,8 @@ impl Stage<'_> {
             .collect();
         let trial = |stance: Stance, at: DVec2, facing: f64| {
             let share = self.pair.share(&stance.standing_at(at));
-            let score_coarse = VOLUME_WEIGHT * share + BASE_WEIGHT * facing;
+            let (of_volume, of_bases) = self.score.weights();
+            let score_coarse = of_volume * share + of_bases * facing;
             Trial { stance, at, score_coarse, score_fine: 0.0, share, is_file_pose: false }
         };
         let trials = self.each("setup: rotations", &flat, |(f, stance, at)| {
@@ -386,7 +411,7 @@ impl Stage<'_> {
 
     fn scored(&self, sampling: Sampling, t: &Trial) -> Trial {
         let measured = self.pair.measure(sampling, &t.stance.standing_at(t.at));
-        Trial { score_fine: score_fine(&measured), share: measured.share, ..*t }
+        Trial { score_fine: score_fine(&measured, self.score), share: measured.share, ..*t }
     }
 
     /// Extent of the turned target along x and y, mm.
@@ -429,13 +454,14 @@ fn moves(t: &Trial, step: DVec2, turn: f64) -> [Trial; 6] {
 }
 
 /// Score₂ (Eq. 7); 0 when nothing is reused.
-fn score_fine(m: &Measured) -> f64 {
+fn score_fine(m: &Measured, score: Score) -> f64 {
     if m.share == 0.0 {
         return 0.0;
     }
     let height = m.lowest_mm.map_or(1.0, |z| (z / m.top_mm).clamp(0.0, 1.0));
     let clear = 1.0 - m.base_share;
-    VOLUME_WEIGHT * m.share + BASE_WEIGHT * (height + clear * clear)
+    let (of_volume, of_bases) = score.weights();
+    of_volume * m.share + of_bases * (height + clear * clear)
 }
 
 impl Trial {

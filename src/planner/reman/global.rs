@@ -1,0 +1,113 @@
+//! Global planes: a cover of the bases that are not plano-convex, then of what the blocks left, and
+//! where that changes nothing, planes shifted toward the base (W2V Sec. 4.1, 4.2).
+//!
+//! Guarantees: the cover is of least weight. Not guaranteed: that the shift ends with a plan that
+//! reaches everything.
+
+use super::candidates::{Element, cover};
+use super::clip::Clip;
+use super::round::{Attempt, attempt};
+use super::setting::Setting;
+use super::{MENDABLE_SHARE, Options, Report, Run, Start};
+use crate::base::Direction;
+use crate::plan::{Job, Plane};
+use crate::planner::PlanError;
+use crate::region::Volumes;
+use crate::voxel::{BitGrid, Connectivity, components};
+
+/// Rounds of cover, cut and print; the second covers what the first could not reach. A part that
+/// needs more ends with its residual: on real brackets a third round never left less, since each
+/// plane gives up more, and more is then hard to print.
+const ROUNDS: usize = 2;
+
+/// Share of its distance to the base by which a plane moves when a new cover changes nothing.
+const SHIFT_SHARE: f64 = 0.3;
+
+/// The best attempt under global planes.
+pub fn global_route(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError> {
+    let Run { start, normals, options, report, clock, ctx } = run;
+    let Start { setting, coarse, .. } = start;
+    let job = setting.job;
+    let mut elements = start.bad_bases.clone();
+    let mut planes = choose(setting, first, &elements, normals, options, report)?;
+    let mut best: Option<Attempt> = None;
+    for round in 0..ROUNDS {
+        ctx.check()?;
+        let clips = planes.iter().map(|p| Clip::global(*p)).collect();
+        let made = attempt(setting, coarse, clips, &start.preferred, options, ctx)?;
+        clock.lap("blocks");
+        made.tell("global", round);
+        if round == 0 {
+            report.count_inaccessible(job, &made.excess, &made.deficit);
+        }
+        let residual = made.residual();
+        let hopeless = residual as f64 > MENDABLE_SHARE * job.target.count() as f64;
+        let done = residual == 0 || hopeless;
+        if best.as_ref().is_none_or(|b| made.rank(job) < b.rank(job)) {
+            best = Some(made);
+        }
+        if done || ctx.out_of_time() {
+            break;
+        }
+        elements
+            .extend(best.iter().flat_map(|b| clusters(job, &b.excess.minus(&b.below), &b.deficit)));
+        let next = choose(setting, first, &elements, normals, options, report)?;
+        planes = if next == planes { shifted(setting, &planes) } else { next };
+        clock.lap("set_cover");
+    }
+    best.ok_or(PlanError::Cancelled)
+}
+
+pub fn choose(
+    setting: &Setting,
+    first: &Volumes,
+    elements: &[Element],
+    normals: &[Direction],
+    options: &Options,
+    report: &mut Report,
+) -> Result<Vec<Plane>, PlanError> {
+    let found = cover(setting, &first.reused, elements, normals, options.cover)?;
+    // The last cover knows all regions, so its note stands for those before it.
+    report.notes.clear();
+    if !found.uncovered.is_empty() {
+        report.notes.push(format!(
+            "{} of {} regions lie beside the base contact and no clipping plane clears them",
+            found.uncovered.len(),
+            elements.len()
+        ));
+    }
+    Ok(found.planes)
+}
+
+/// Every plane moved toward the base by a share of its distance to it.
+pub fn shifted(setting: &Setting, planes: &[Plane]) -> Vec<Plane> {
+    let job = setting.job;
+    let contact = setting.holdings[0].contact(&job.ideal_reuse(), &job.frame, job.rules.grip_mm);
+    planes
+        .iter()
+        .map(|p| {
+            let base = contact
+                .iter_ones()
+                .map(|v| p.normal.dot(job.frame.center(v)))
+                .fold(f64::NEG_INFINITY, f64::max);
+            let distance = (p.offset - base).max(0.0);
+            Plane { normal: p.normal, offset: p.offset - SHIFT_SHARE * distance }
+        })
+        .collect()
+}
+
+/// Each connected piece of what is left, as an element to cover.
+fn clusters(job: &Job, excess: &BitGrid, deficit: &BitGrid) -> Vec<Element> {
+    let mut elements = Vec::new();
+    for left in [excess, deficit] {
+        let parts = components(left, Connectivity::Corner26);
+        let mut points = vec![Vec::new(); parts.count()];
+        for v in left.boundary().iter_ones() {
+            if let Some(l) = parts.label_of(v) {
+                points[l as usize].push(job.frame.center(v));
+            }
+        }
+        elements.extend(points.into_iter().map(|points| Element { points }));
+    }
+    elements
+}

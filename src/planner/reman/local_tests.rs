@@ -1,0 +1,101 @@
+//! Candidate planes and their choice on worlds small enough to know the answer.
+
+use super::clip::Clip;
+use super::coarse::Coarse;
+use super::local::{Element, Scope};
+use super::refine::refine;
+use super::round::volumes;
+use super::setting::Setting;
+use super::{Options, plane_normals};
+use crate::base::{Ctx, DVec3, Direction};
+use crate::machine::{Machine, ToolKind};
+use crate::mesh::TriMesh;
+use crate::plan::{Job, Plane, Rules};
+use crate::voxel::{BitGrid, Frame};
+
+const DIMS: [usize; 3] = [40, 24, 30];
+
+/// Two posts on a plate; the target has a cap on the first of them.
+fn job() -> Job {
+    let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+    let posts = |x: usize, z: usize| (4..12).contains(&x) || (26..36).contains(&x) && z < 26;
+    let initial = BitGrid::from_fn(DIMS, |[x, y, z]| {
+        (2..22).contains(&y) && (1..39).contains(&x) && (z < 4 || posts(x, z) && z < 20)
+    });
+    let target = BitGrid::from_fn(DIMS, |[x, y, z]| {
+        initial.get([x, y, z])
+            || (4..12).contains(&x) && (2..22).contains(&y) && (20..26).contains(&z)
+    });
+    let machine = Machine::builtin("generic-5axis").unwrap();
+    let tools = |kind| machine.tools_of(kind).into_iter().cloned().collect();
+    let (cutters, nozzles) = (tools(ToolKind::Subtractive), tools(ToolKind::Additive));
+    let mesh = TriMesh::new(Vec::new(), Vec::new()).unwrap();
+    let rules = Rules::for_pitch(frame.pitch, 0.2);
+    Job {
+        frame,
+        initial,
+        target,
+        initial_mesh: mesh.clone(),
+        target_mesh: mesh,
+        machine,
+        cutters,
+        nozzles,
+        rules,
+    }
+}
+
+/// A slice of the first post, and the voxels beside it.
+fn slice(job: &Job, z: std::ops::Range<usize>) -> BitGrid {
+    BitGrid::from_fn(job.frame.dims, |v| v[0] == 12 && (2..22).contains(&v[1]) && z.contains(&v[2]))
+}
+
+#[test]
+fn a_candidate_gives_up_the_pieces_beside_its_element_alone() {
+    let job = job();
+    let setting = Setting::new(&job);
+    let cells = Coarse::cells(&job);
+    let scope = Scope::new(&setting, &cells, &job.ideal_reuse());
+    let elements = [Element { region: slice(&job, 14..16), must: true }];
+    let of = scope.candidates(&elements, &plane_normals(&job, 40));
+    let best = &of[0][0];
+    assert!(of[0].windows(2).all(|w| w[0].lost_count <= w[1].lost_count));
+    // Never the second post, never the plate it stands on.
+    assert!(of[0].iter().all(|c| c.seeds.iter_ones().all(|v| v[0] < 20)));
+    assert!(best.lost_count <= 8 * 20 * 6, "{}", best.lost_count);
+    let clip = Clip { plane: best.plane, seeds: Some(best.seeds.clone()) };
+    let kept = volumes(&job, &[clip]).reused;
+    assert_eq!(kept.count(), job.ideal_reuse().count() - best.lost_count);
+}
+
+#[test]
+fn a_plane_that_takes_the_base_contact_is_no_candidate() {
+    let job = job();
+    let setting = Setting::new(&job);
+    let cells = Coarse::cells(&job);
+    let scope = Scope::new(&setting, &cells, &job.ideal_reuse());
+    let elements = [Element { region: slice(&job, 0..20), must: true }];
+    let plane = Plane { normal: Direction::Z, offset: 0.2 };
+    assert!(scope.at(&elements, 0, plane).is_none());
+}
+
+#[test]
+fn what_must_be_cleared_is_cleared_at_the_least_loss() {
+    let job = job();
+    let setting = Setting::new(&job);
+    let cells = Coarse::cells(&job);
+    let scope = Scope::new(&setting, &cells, &job.ideal_reuse());
+    let nothing = BitGrid::new(job.frame.dims);
+    let regions = vec![slice(&job, 16..18), slice(&job, 12..14)];
+    let normals = plane_normals(&job, 40);
+    let options = Options::default();
+    let found = refine(&scope, regions.clone(), &normals, &nothing, &options, &Ctx::quiet());
+    let found = found.unwrap().expect("a plane clears them");
+    assert!(found.is_valid);
+    let lost = found.chosen.iter().fold(nothing.clone(), |all, c| all.or(&c.seeds));
+    for region in &regions {
+        let beside = region.grown().and(&job.ideal_reuse());
+        assert!(beside.and(&lost).count() > 0);
+    }
+    // The level plane under the lower one clears both.
+    assert!(lost.count() <= 8 * 20 * 8, "{}", lost.count());
+}
