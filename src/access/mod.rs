@@ -7,7 +7,8 @@
 //! grey-scale morphologies on an image instead of two Minkowski sums in space. It works with real
 //! heights along any direction ([`cutter_map`], [`reached_along`]) and on voxels along the grid
 //! axes. Tools of other shapes are sets of voxels ([`VoxelTool`]) and go through [`crate::morph`];
-//! [`choose`] says which engine is cheapest.
+//! [`choose`] says which engine is cheapest. Which cells of a part stand in the way of which points,
+//! once and for all states to come, is the [`DependencyGraph`].
 //!
 //! Guarantees: the engines of [`accessible`] agree voxel for voxel. With real heights the answer
 //! equals the definition along the grid axes; along any other direction it is never larger (what

@@ -38,7 +38,7 @@ mod tests {
     fn a_local_plane_leaves_the_other_pieces_of_its_positive_side() {
         let frame = Frame { pitch: 1.0, dims: [12, 4, 8], origin: DVec3::ZERO };
         // Two posts on a plate.
-        let part = BitGrid::from_fn(frame.dims, |[x, _, z]| z < 2 || x < 3 || x > 8);
+        let part = BitGrid::from_fn(frame.dims, |[x, _, z]| z < 2 || !(3..=8).contains(&x));
         let plane = Plane { normal: Direction::Z, offset: 4.0 };
         let seeds = BitGrid::from_fn(frame.dims, |v| v == [0, 0, 7]);
         let local = Clip { plane, seeds: Some(seeds) }.clipped(&part, &frame);

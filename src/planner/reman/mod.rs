@@ -8,17 +8,24 @@
 //! | B̃, b_i | [`PrintingBase`] | the interface of Ṽ_R and Ṽ_A, its components |
 //! | c̃_ij, W_ij, ℂ | `candidates` | candidate planes, their weights, the chosen ones |
 //! | V_S, V_A | `cutting`, `printing` | Ṽ_S + V_T in blocks, Ṽ_A + V_T in blocks |
+//! | c_i^L, ℂ^L | [`Clip`], `local`, `refine` | local planes, and their choice |
 //!
 //! Stages, in the paper's order: volumes and bases (Sec. 3.1; [`crate::region`]), candidate planes
-//! and set cover (Sec. 4.1; `candidates`), planes that make every region accessible (Sec. 4.2;
-//! here), blocks (Sec. 6; `cutting`, `printing`). Local planes and the Monte Carlo tree search of
-//! Sec. 4.2 belong between the last two and are not built yet: every plane is global.
+//! and set cover (Sec. 4.1; `candidates`), global planes that make every region accessible (Sec.
+//! 4.2; `global`), local planes by Monte Carlo tree search over the collision dependency graph
+//! (Sec. 4.2, App. B, C; `locals`, `local`, `refine`), blocks (Sec. 6; `cutting`, `printing`).
+//! `compared` has the strategies of its Fig. 14.
 //!
 //! What differs from the paper, and why:
 //! - Volumes are voxel sets, so no Boolean can fail on nearly coincident surfaces (its Sec. 7.5).
 //! - Accessibility is judged by making the blocks, not by sampled points: what the blocks leave
 //!   becomes a further element to cover, and the set cover is solved anew. Only when that changes
 //!   nothing do the planes move, by 30 % of their distance to the base as in the paper.
+//! - Local planes are looked for where blocks left something, not by splitting the global planes,
+//!   and only where those gave up more than half a per cent of the target or left something: a base
+//!   that is not plano-convex can often be printed all the same, in several blocks.
+//! - A plan with nothing left comes before one with a residual within the rules, and of the latter
+//!   a voxel left counts as ten printed anew.
 //! - Additive blocks are what one direction lays from below on the state before it, the largest
 //!   first; the paper takes two decompositions from elsewhere.
 //!   While little is left, printing is tried again with a later block's space left free.
