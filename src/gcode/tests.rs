@@ -3,7 +3,7 @@ use crate::base::Ctx;
 use crate::toolpath::tests::{MACHINES, WORLDS, World, pocket, tilted, tower};
 use crate::toolpath::{Toolpaths, for_unverified};
 
-fn paths(w: &World) -> Toolpaths {
+pub(super) fn paths(w: &World) -> Toolpaths {
     for_unverified(&w.job, &w.plan, &Ctx::quiet()).unwrap()
 }
 
@@ -11,11 +11,11 @@ fn posted(w: &World) -> String {
     post(&w.job, &w.plan, &paths(w), "sha256:0").unwrap().text().to_string()
 }
 
-fn report(w: &World, text: &str) -> CheckReport {
+pub(super) fn report(w: &World, text: &str) -> CheckReport {
     check(text, &w.job, &w.plan, None, &Ctx::quiet()).unwrap()
 }
 
-fn told(r: &CheckReport) -> String {
+pub(super) fn told(r: &CheckReport) -> String {
     r.findings.iter().map(|f| format!("{f}\n")).collect()
 }
 
@@ -60,7 +60,7 @@ fn caught(w: &World, text: &str, rule: Rule, lines: std::ops::RangeInclusive<usi
 fn a_missing_spindle_start_is_caught_at_the_first_cut() {
     let w = pocket("generic-5axis");
     let text = posted(&w);
-    let at = lines_where(&text, |l| l.ends_with("M3"))[0];
+    let at = lines_where(&text, |l| l.starts_with("M3 S"))[0];
     let first = lines_where(&text, |l| l.starts_with("G1 "))[0];
     caught(&w, &with_line(&text, at, None), Rule::Spindle, first - 1..=first - 1);
 }

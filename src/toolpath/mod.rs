@@ -7,7 +7,7 @@
 //! Guarantees: a path never goes below the tip heights free of the output state and the fixed
 //! obstacles; beads lie inside the step's region; rapids run only at the safe height or straight up;
 //! the same plan gives the same paths at any thread count. Not guaranteed: machine limits, which
-//! the post checks; surfaces finer than the voxels; times, which ignore acceleration.
+//! the post checks; surfaces finer than the voxels.
 
 mod contour;
 mod image;
@@ -16,11 +16,13 @@ mod moves;
 mod print;
 mod process;
 mod slice;
+mod timing;
 #[cfg(test)]
 pub(crate) mod tests;
 
 pub use moves::{Figures, Move, MoveKind, Toolpath};
 pub use print::INSET_SLACK;
+pub use timing::{Leg, motion_s, rest_to_rest};
 
 use crate::base::{Cancelled, Ctx, DVec3};
 use crate::machine::{BaseKind, Holding, Tool};
@@ -28,7 +30,7 @@ use crate::plan::{Job, Plan, StepKind};
 use crate::verify::Verified;
 use crate::voxel::BitGrid;
 use mill::Work;
-use moves::{merge_collinear, time_s};
+use moves::{legs, merge_collinear};
 use process::{Milling, Printing};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -201,7 +203,8 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
     };
     let moves = merge_collinear(moves);
     figures.region_mm3 = step.region.count() as f64 * job.frame.voxel_volume();
-    figures.time_s = time_s(&moves, job.machine.control.rapid_mm_min);
+    figures.time_s =
+        motion_s(&legs(&moves, &job.machine.control), job.machine.control.acceleration_mm_s2);
     let mut path = Toolpath {
         step: i,
         kind: step.kind,
