@@ -23,6 +23,8 @@ pub(super) struct Axis {
 pub(super) struct Module {
     pub codes: ModuleCodes,
     pub prime_s: f64,
+    /// At which the rate lays the nominal bead, mm/min.
+    pub feed: f64,
     pub axis: Option<Axis>,
 }
 
@@ -33,6 +35,7 @@ impl Module {
         Some(Module {
             codes: dialect.module_codes(e)?,
             prime_s: e.prime_s,
+            feed: e.feed_mm_min(&tool.process),
             axis: (dialect.extrusion == Extrusion::Axis).then_some(axis),
         })
     }
@@ -45,8 +48,8 @@ impl Module {
         self.axis.map_or_else(|| format!("M{}", self.codes.close), |_| "M42 P0 S0".into())
     }
 
-    /// Filament for a bead of this length, where the program must say it.
-    pub fn filament(&self, length: f64) -> Option<f64> {
-        self.axis.map(|a| length * a.per_mm)
+    /// Filament for a bead of this length at this feed, where the program must say it.
+    pub fn filament(&self, length: f64, feed: f64) -> Option<f64> {
+        self.axis.map(|a| length * a.per_mm * self.feed / feed)
     }
 }

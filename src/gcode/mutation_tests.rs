@@ -218,7 +218,7 @@ fn harmful_mutations_are_caught_with_their_line() {
         let r = report(&s.world, &text);
         caught += usize::from(!r.passed());
         let after = motions(&s.world, &s.replay, &text);
-        let flipped = name == "sign flipped" && lines != s.lines;
+        let flipped = name == "sign flipped" && !s.lines[at - 1].contains("A0.0000");
         if !(flipped || wrong_state(s, &lines) || wrong_motion(s, &after)) {
             continue;
         }

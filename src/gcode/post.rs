@@ -297,7 +297,7 @@ impl Writer<'_> {
                 self.motion(m, &[Some(&words[0]), Some(&words[1]), None], None);
             }
             let length = before.map_or(0.0, |b| b.distance(m.tip));
-            let filament = module.as_ref().filter(|_| lay).and_then(|e| e.filament(length));
+            let filament = module.as_ref().filter(|_| lay).and_then(|e| e.filament(length, m.feed));
             self.motion(m, &[Some(&words[0]), Some(&words[1]), Some(&words[2])], filament);
             before = Some(m.tip);
         }

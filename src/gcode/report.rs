@@ -27,7 +27,7 @@ pub enum Rule {
     Gouge,
     /// Cutting stays over the step's region, beads in it.
     Astray,
-    /// No cut goes much deeper into what is left of the region than a roughing level.
+    /// No cut takes more than half its width much deeper than a roughing level.
     Engagement,
     /// The edge sweeps the region and leaves no lump of it deeper than the surface tolerance;
     /// beads fill it; both as much as the plan says.
@@ -84,7 +84,7 @@ impl fmt::Display for Finding {
 pub struct StepFigures {
     /// Length at feed with the spindle on, or of beads, mm.
     pub working_mm: f64,
-    /// Bead volume: length × bead section, mm³.
+    /// Bead volume: length × rate/feed, mm³.
     pub deposited_mm3: f64,
     /// Volume of the region's voxels that the edge swept, mm³; 0 for additive steps.
     pub removed_mm3: f64,

@@ -286,10 +286,11 @@ fn lump(scene: &Scene, motions: &[Motion], missed: &[DVec3]) -> Finding {
     Finding { line: nearest.map_or(scene.line, |m| m.line), rule: Rule::Volume, message }
 }
 
-/// Depth of every cut into what is left of the region, level after level.
+/// Cuts that take more than half the cutter's width deeper than the roughing levels allow.
 fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowest) -> Vec<Finding> {
     let (h, tool) = (scene.frame.pitch, scene.tool);
-    let most = LEVELS * tool.process.step_down * 2.0 * tool.active_radius() + 2.0 * h;
+    let radius = tool.active_radius();
+    let most = LEVELS * tool.process.step_down * 2.0 * radius + 2.0 * h;
     let hi = over.origin + DVec2::new(over.n[0] as f64, over.n[1] as f64) * over.cell;
     let cells = Lowest::over(over.origin, hi, h, over.plane);
     let mut tops = vec![f64::NEG_INFINITY; cells.tips.len()];
@@ -299,7 +300,7 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
             *top = top.max(cells.plane.height(*p) + h / 2.0);
         }
     }
-    let reach = (tool.active_radius() / h).floor() as i64;
+    let reach = (radius / h).floor() as i64;
     let edge: Vec<(i64, i64, f64)> = (-reach..=reach)
         .flat_map(|j| (-reach..=reach).map(move |i| (i, j)))
         .map(|(i, j)| (i, j, tool.active_lower_surface((i as f64).hypot(j as f64) * h)))
@@ -307,7 +308,7 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
         .collect();
     let mut told = Told::new(Rule::Engagement);
     for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
-        let mut deepest = 0.0f64;
+        let (mut deepest, mut area) = (0.0f64, 0.0);
         for p in samples(m, h / 2.0) {
             let (uv, z) = (cells.plane.across(p), cells.plane.height(p));
             let Some(c) = cells.cell_of(uv) else { continue };
@@ -317,13 +318,17 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
                     continue;
                 }
                 let top = &mut tops[i as usize + cells.n[0] * j as usize];
-                if *top > z + lower {
-                    deepest = deepest.max(*top - z - lower);
+                let depth = *top - z - lower;
+                if depth > 0.0 {
+                    deepest = deepest.max(depth);
+                    area += if depth > most { h * h } else { 0.0 };
                     *top = z + lower;
                 }
             }
         }
-        if deepest > most {
+        // A wall is finished over its whole height in a thin skin; a slot takes the whole width.
+        let length = m.from.map_or(0.0, |f| f.distance(m.to));
+        if area > (radius + h) * (length + 2.0 * radius) {
             told.tell(m.line, format!("a cut {deepest:.2} mm deep, more than {most:.2} mm"));
         }
     }
@@ -379,8 +384,12 @@ fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     let mut laid = BitGrid::new(frame.dims);
     let mut astray = Told::new(Rule::Astray);
     let within = process.path_mm + h;
+    // The rate is constant: a slower bead is a thicker one.
+    let rate = scene.machine.extruder.as_ref().map_or(0.0, |e| 60.0 * e.volumetric_mm3_s);
     for m in motions.iter().filter(|m| m.gait == Gait::Deposit) {
-        figures.working_mm += m.from.map_or(0.0, |f| f.distance(m.to));
+        let length = m.from.map_or(0.0, |f| f.distance(m.to));
+        figures.working_mm += length;
+        figures.deposited_mm3 += if m.feed > 0.0 { length * rate / m.feed } else { 0.0 };
         let mut away = None;
         for p in samples(m, h / 2.0) {
             let middle = p - d * (process.layer_mm / 2.0);
@@ -395,7 +404,6 @@ fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
             astray.tell(m.line, format!("a bead at ({p:.2}), outside the step's region"));
         }
     }
-    figures.deposited_mm3 = figures.working_mm * process.bead_section_mm2();
     let infill = process.infill.clamp(0.05, 1.0);
     // Half the distance between infill lines, plus what sampling on the grid can lose.
     let reach = process.path_mm / infill / 2.0 + process.layer_mm + 2.0 * h;

@@ -10,9 +10,15 @@
 //! the post checks; surfaces finer than the voxels.
 
 mod contour;
+mod cross;
+mod drop;
+mod exact;
 mod image;
+mod infill;
 mod mill;
 mod moves;
+mod piece;
+mod polygons;
 mod print;
 mod process;
 mod slice;
@@ -20,8 +26,9 @@ mod timing;
 #[cfg(test)]
 pub(crate) mod tests;
 
+pub use drop::{DropCutter, End};
 pub use moves::{Figures, Move, MoveKind, Toolpath};
-pub use print::INSET_SLACK;
+pub use print::{CHORD_MM, INSET_SLACK};
 pub use timing::{Leg, motion_s, rest_to_rest};
 
 use crate::base::{Cancelled, Ctx, DVec3};
@@ -180,6 +187,7 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
     let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
     let tool: &Tool = job.tool(&step.tool).ok_or_else(no_tool)?;
     let work = Work {
+        job,
         frame: &job.frame,
         step,
         tool,
@@ -187,10 +195,10 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
         after: &replay.states[i + 1],
         fixed: &replay.fixed[i],
     };
-    let (moves, safe_height, mut figures, bead_mm2) = match step.kind {
+    let (moves, safe_height, mut figures, bead_mm2, nominal) = match step.kind {
         StepKind::Subtractive => {
             let m = mill::mill(&work, &Milling::of(&job.machine, tool));
-            (m.moves, m.safe_height, m.figures, 0.0)
+            (m.moves, m.safe_height, m.figures, 0.0, 0.0)
         }
         StepKind::Additive => {
             let machine = job.machine.name.clone();
@@ -198,7 +206,8 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
             let extruder = job.machine.extruder.as_ref().ok_or_else(no_extruder)?;
             let process = Printing::of(&job.machine, extruder, tool);
             let p = print::print(&work, &process);
-            (p.moves, p.safe_height, p.figures, tool.process.bead_section_mm2())
+            let section = tool.process.bead_section_mm2();
+            (p.moves, p.safe_height, p.figures, section, process.feed)
         }
     };
     let moves = merge_collinear(moves);
@@ -221,6 +230,6 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
         StepKind::Additive => MoveKind::Deposit,
     };
     path.figures.working_mm = path.length(working);
-    path.figures.material_mm3 = path.length(MoveKind::Deposit) * bead_mm2;
+    path.figures.material_mm3 = path.laid_mm3(nominal);
     Ok(path)
 }

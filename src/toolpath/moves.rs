@@ -57,13 +57,23 @@ pub struct Toolpath {
     pub holding: usize,
     /// Height along the direction at or above which the tip may go anywhere, mm.
     pub safe_height: f64,
-    /// Section of the bead, mm²; 0 for subtractive steps.
+    /// Section of the bead at the nominal feed, mm²; 0 for subtractive steps.
     pub bead_mm2: f64,
     pub moves: Vec<Move>,
     pub figures: Figures,
 }
 
 impl Toolpath {
+    /// Volume of the beads, mm³: the extruder's rate is constant, so a bead at another feed than
+    /// the nominal one has another section.
+    pub(super) fn laid_mm3(&self, nominal: f64) -> f64 {
+        let beads = self.moves.windows(2).filter(|w| w[1].kind == MoveKind::Deposit);
+        let volume = |w: &[Move]| {
+            w[0].tip.distance(w[1].tip) * self.bead_mm2 * nominal / w[1].feed.max(1e-9)
+        };
+        beads.map(volume).fold(0.0, |a, b| a + b)
+    }
+
     /// Length of all moves of a kind, mm.
     pub fn length(&self, kind: MoveKind) -> f64 {
         self.moves

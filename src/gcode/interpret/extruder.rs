@@ -10,6 +10,12 @@ const BEAD_FEED: f64 = 0.01;
 /// Largest relative error of a bead's filament, and the rounding of an E word, mm.
 const FILAMENT: (f64, f64) = (0.01, 2e-5);
 
+/// Heights closer than this are one layer, mm: ten times the last written digit.
+const SAME_LAYER_MM: f64 = 0.01;
+
+/// Error of a layer's thickness from written positions, mm.
+const WRITTEN_MM: f64 = 0.002;
+
 impl Interpreter<'_> {
     /// Filament alone: drawn back, or given again by as much.
     pub(super) fn filament(&mut self, by: f64) {
@@ -80,11 +86,12 @@ impl Interpreter<'_> {
     /// The filament of a bead against its section.
     pub(super) fn bead_filament(&mut self, e: f64, length: f64) {
         let (Some(extruder), Some(tool)) = (&self.machine.extruder, self.tool()) else { return };
-        let want = length * extruder.filament_per_mm(&tool.process);
+        let nominal = extruder.feed_mm_min(&tool.process);
+        let per_mm =
+            extruder.filament_per_mm(&tool.process) * nominal / self.feed.unwrap_or(nominal);
+        let want = length * per_mm;
         // Ends of the move are written to the dialect's digits.
-        let written = 10f64.powi(-(self.dialect.linear_digits as i32))
-            * extruder.filament_per_mm(&tool.process)
-            * 2.0;
+        let written = 2.0 * per_mm * 10f64.powi(-(self.dialect.linear_digits as i32));
         if (e - want).abs() > FILAMENT.0 * want + FILAMENT.1 + written {
             self.find(
                 Rule::Extruder,
@@ -96,13 +103,27 @@ impl Interpreter<'_> {
         }
     }
 
-    pub(super) fn bead_feed(&mut self) {
+    /// The feed of a bead that ends at this height along the direction: the rate is constant, so
+    /// the layer's thickness over the one below says it.
+    pub(super) fn bead_feed(&mut self, height: f64) {
         let (Some(e), Some(tool), Some(feed)) = (&self.machine.extruder, self.tool(), self.feed)
         else {
             return;
         };
-        let want = e.feed_mm_min(&tool.process);
-        if (feed - want).abs() > BEAD_FEED * want {
+        let layer = tool.process.layer_mm;
+        let nominal = e.feed_mm_min(&tool.process);
+        if self.layers[1].is_none_or(|z| height > z + SAME_LAYER_MM) {
+            self.layers = [self.layers[1], Some(height)];
+        }
+        let (want, within) = match self.layers {
+            [Some(below), Some(z)] => {
+                let thick = z - below;
+                (nominal * layer / thick, BEAD_FEED + WRITTEN_MM / thick)
+            }
+            // The first layer's floor is not in the program; a last layer may be the first.
+            _ => (nominal * feed.clamp(nominal / 1.5, nominal * 2.0) / nominal, BEAD_FEED),
+        };
+        if (feed - want).abs() > within * want {
             self.find(
                 Rule::Feed,
                 format!("a bead at F{feed}, the extruder's rate needs {want:.1}"),

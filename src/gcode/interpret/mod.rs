@@ -108,6 +108,8 @@ struct Interpreter<'a> {
     extruding: bool,
     drawn: bool,
     chosen: Option<f64>,
+    /// Heights of the last two layers of beads in this step, mm.
+    layers: [Option<f64>; 2],
     /// S word of an M42 block.
     level: Option<f64>,
     compensated: bool,
@@ -154,6 +156,7 @@ impl<'a> Interpreter<'a> {
             extruding: false,
             drawn: false,
             chosen: None,
+            layers: [None; 2],
             level: None,
             compensated: false,
             held_anew: false,
@@ -351,6 +354,7 @@ impl<'a> Interpreter<'a> {
         self.quiet("M6");
         self.step_lines.push(self.line);
         (self.compensated, self.feed, self.motion) = (false, None, None);
+        self.layers = [None; 2];
         let n = self.step_lines.len();
         let Some(step) = self.setting.plan.steps.get(n - 1) else {
             let most = self.setting.plan.steps.len();
@@ -434,6 +438,9 @@ impl<'a> Interpreter<'a> {
             _ => Gait::Feed,
         };
         let (from, feed) = (before.map(|b| b.0), self.feed.unwrap_or(0.0));
+        if gait == Gait::Deposit {
+            self.bead_feed(self.setting.plan.steps[step].direction.dot(to));
+        }
         if let (Some(e), Some(from)) = (filament, from) {
             self.bead_filament(e, from.distance(to));
         }
@@ -557,8 +564,7 @@ impl<'a> Interpreter<'a> {
             StepKind::Additive if !self.open => {
                 self.find(Rule::Extruder, "the nozzle moves at feed while the module is closed");
             }
-            StepKind::Additive if self.extruding => self.bead_feed(),
-            StepKind::Additive if !self.drawn => {
+            StepKind::Additive if !self.extruding && !self.drawn => {
                 self.find(Rule::Extruder, "the nozzle travels neither extruding nor drawn back");
             }
             _ => {}
