@@ -119,10 +119,11 @@ impl End {
             End::Flat { .. } => return Some(height_flat(a.z, slope, start, low, high)),
             // The circle that the ball cuts in the edge's upright plane touches a line of this
             // slope where its own slope is the same.
-            End::Ball { .. } => -half * slope / (1.0 + slope * slope).sqrt(),
+            End::Ball { .. } => half * slope / (1.0 + slope * slope).sqrt(),
             End::Bull { .. } => highest(&height, low, high),
         };
-        Some(height(x.clamp(low, high)))
+        // At the ends the height may be steeper than the search is fine.
+        Some(height(x.clamp(low, high)).max(height(low)).max(height(high)))
     }
 }
 
@@ -273,7 +274,7 @@ mod tests {
                 let at = DVec2::new(x, y);
                 let sampled = by_points(end, at, &t, 160);
                 let exact = drop.height(end, at).unwrap_or(f64::NEG_INFINITY);
-                prop_assert!(exact >= sampled - 1e-9, "{end:?}: {exact} {sampled}");
+                prop_assert!(exact >= sampled - 1e-7, "{end:?}: {exact} {sampled}");
                 // Points are at most 0.07 mm apart across; at the rim of a steep face they miss.
                 if exact.is_finite() && sampled.is_finite() && end != ENDS[1] {
                     let steep = (t[1] - t[0]).cross(t[2] - t[0]).normalize_or_zero().z.abs() < 0.3;
@@ -306,7 +307,7 @@ mod tests {
         assert_eq!(DropCutter::new(Vec::new(), 1.0).height(ball, DVec2::ZERO), None);
     }
 
-    /// Greatest height that a ball at these tips leaves over a surface, between the outer two.
+    /// Greatest height that a ball at these tips leaves over a surface, in their middle third.
     fn ridge(radius: f64, surface: impl Fn(f64) -> f64, tips: &[(f64, f64)]) -> f64 {
         let left = |x: f64| {
             let swept = tips
@@ -315,7 +316,8 @@ mod tests {
                 .map(|(u, z)| z + radius - (radius * radius - (x - u).powi(2)).sqrt());
             swept.fold(f64::INFINITY, f64::min) - surface(x)
         };
-        let (a, b) = (tips[1].0, tips[tips.len() - 2].0);
+        let third = tips.len() / 3;
+        let (a, b) = (tips[third].0, tips[tips.len() - third].0);
         (0..=4000).map(|i| left(a + (b - a) * f64::from(i) / 4000.0)).fold(0.0, f64::max)
     }
 
@@ -335,7 +337,7 @@ mod tests {
             ];
             let drop = DropCutter::new(vec![plane], 5.0);
             let across = step * degrees.to_radians().cos();
-            let tips: Vec<(f64, f64)> = (-6..=6)
+            let tips: Vec<(f64, f64)> = (-30..=30)
                 .map(|i| f64::from(i) * across)
                 .map(|u| (u, drop.height(end, DVec2::new(u, 0.0)).unwrap()))
                 .collect();
@@ -357,7 +359,7 @@ mod tests {
         }
         let drop = DropCutter::new(triangles, 1.0);
         let turn = step / big;
-        let tips: Vec<(f64, f64)> = (-6..=6)
+        let tips: Vec<(f64, f64)> = (-10..=10)
             .map(|i| (big + radius) * (f64::from(i) * turn).sin())
             .map(|u| (u, drop.height(end, DVec2::new(u, 0.0)).unwrap()))
             .collect();

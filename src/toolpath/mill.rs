@@ -161,12 +161,15 @@ impl<'a> Stage<'a> {
             Profile::new(|rho| work.tool.active_lower_surface(rho), radius, lattice.s, 0.0, 0.0);
         let (mut tops, mut bottoms) = (Image::empty(lattice), Image::empty(lattice));
         let plane = lattice.plane;
+        let meshes = Exact::of(work, &free);
+        // A voxel's face lies up to half a pitch from the surface that the meshes tell exactly.
+        let under = if meshes.is_some() { h } else { h / 2.0 };
         for v in work.step.region.iter_ones() {
             let p = work.frame.center(v);
             tops.raise(p);
             if let Some(c) = lattice.cell(plane.across(p)) {
                 let i = lattice.index(c);
-                bottoms.data[i] = bottoms.data[i].max(-(plane.height(p) - h / 2.0) as f32);
+                bottoms.data[i] = bottoms.data[i].max(-(plane.height(p) - under) as f32);
             }
         }
         let disc = Profile::new(
@@ -177,7 +180,6 @@ impl<'a> Stage<'a> {
             0.0,
         );
         let half = h / 2.0 + rounding(work, lattice.s);
-        let meshes = Exact::of(work, &free);
         let heights = |side: f64, down: f64| match &meshes {
             Some(m) => m.heights(work, &free, side, down, 0.0),
             None => free.heights(work.tool, side, down),

@@ -31,9 +31,9 @@ pub const INSET_SLACK: f64 = 0.01;
 /// every triangle's corner; at 0.02 the bound on the whole path would be used up.
 pub const CHORD_MM: f64 = 0.005;
 
-/// Least and most height of the last layer, in layers. Lower ones would ask for more than twice the
-/// feed, higher ones would not bond.
-const LAST_LAYER: (f64, f64) = (0.5, 1.5);
+/// Least height of the last layer, in layers; the most is one more. Lower ones would ask for more
+/// than twice the feed, higher ones would not bond.
+const LAST_LAYER: f64 = 0.5;
 
 pub(super) struct Printed {
     pub moves: Vec<Move>,
@@ -68,11 +68,8 @@ fn slabs(low: f64, high: f64, process: &Printing) -> Vec<Slab> {
     let layer = process.layer;
     let whole = high - low;
     // The feed of a low last layer must not pass what the machine can.
-    let least = LAST_LAYER.0.max(process.feed / process.travel_feed);
-    let mut count = (whole / layer + 1.0 - least + 1e-6).floor().max(1.0);
-    if whole / layer - (count - 1.0) > LAST_LAYER.1 {
-        count += 1.0;
-    }
+    let least = LAST_LAYER.max(process.feed / process.travel_feed);
+    let count = (whole / layer + 1.0 - least + 1e-6).floor().max(1.0);
     let slab = |k: f64| {
         let tip = if k + 1.0 < count { low + (k + 1.0) * layer } else { high };
         let height = if k + 1.0 < count { layer } else { high - low - k * layer };

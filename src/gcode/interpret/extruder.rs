@@ -121,7 +121,7 @@ impl Interpreter<'_> {
                 (nominal * layer / thick, BEAD_FEED + WRITTEN_MM / thick)
             }
             // The first layer's floor is not in the program; a last layer may be the first.
-            _ => (nominal * feed.clamp(nominal / 1.5, nominal * 2.0) / nominal, BEAD_FEED),
+            _ => (nominal * feed.clamp(nominal / 2.0, nominal * 2.0) / nominal, BEAD_FEED),
         };
         if (feed - want).abs() > within * want {
             self.find(
