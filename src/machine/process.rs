@@ -83,7 +83,7 @@ impl Default for Process {
             perimeters: 2,
             infill: 0.3,
             pattern: Pattern::Rectilinear,
-            skins: 3,
+            skins: 4,
             seam: Seam::Nearest,
         }
     }

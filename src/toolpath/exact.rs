@@ -86,7 +86,11 @@ impl Exact {
         let end = Profile::new(|rho| tool.active_lower_surface(rho), edge, s, side, down);
         let mut out = free.dilated(&holder);
         let bare = end.dilate(&self.rest, free.window, free.highest());
-        for ((z, b), r) in out.data.iter_mut().zip(&bare.data).zip(&self.resting.data) {
+        // No point of the surface is farther from its voxel: what rests higher does not stand.
+        let far = NEAR_PITCH * work.frame.pitch + s;
+        let bound = free.heights(tool, far, far);
+        let resting = self.resting.data.iter().zip(&bound.data).map(|(r, b)| r.min(*b));
+        for ((z, b), r) in out.data.iter_mut().zip(&bare.data).zip(resting) {
             *z = z.max(*b).max(r + over as f32);
         }
         out

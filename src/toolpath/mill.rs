@@ -8,8 +8,8 @@
 //!
 //! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells);
 //! no pass is deeper than a step-down under what was cut beside it; rapids only at the safe height
-//! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`). Not
-//! guaranteed: ramped entries, a constant engagement.
+//! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`), but for crevices
+//! that only the voxels leave room for. Not guaranteed: ramped entries, a constant engagement.
 
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, steepness};
@@ -27,6 +27,9 @@ const SAME_HEIGHT_MM: f64 = 1e-3;
 
 /// Cosine of the slope at which passes across and levels along the axis are equally far apart.
 const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// Share of the region that must be swept: a little more than the program's check asks for.
+const LEAST_SHARE: f64 = 0.985;
 
 /// What a step works on.
 pub(super) struct Work<'a> {
@@ -320,7 +323,22 @@ impl<'a> Stage<'a> {
     /// Cuts what region is left uncovered from the tips that reach it without margin; returns the
     /// fraction of the region that is covered in the end.
     fn rest(&mut self) -> f64 {
-        let (uncovered, share) = self.uncovered();
+        let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
+        let exact = std::mem::take(&mut self.exact.data);
+        let share = self.rest_over(&exact, half);
+        if self.meshes.is_none() || share == 1.0 {
+            return share;
+        }
+        // What the meshes leave no room for, the voxels may, which is what the plan was made on:
+        // lumps deeper than the tolerance go, at the price of a pitch's gouge in the crevice.
+        let plain = self.free.heights(self.work.tool, 0.0, 0.0);
+        let deep = self.work.job.rules.tolerance_mm / 2.0;
+        self.rest_over(&plain.data, if share < LEAST_SHARE { half } else { deep.max(half) })
+    }
+
+    /// Cuts the region farther than `slack` under what was swept, with lowest tips `free`.
+    fn rest_over(&mut self, free: &[f32], slack: f64) -> f64 {
+        let (uncovered, share) = self.uncovered(slack);
         if uncovered.is_empty() {
             return share;
         }
@@ -334,22 +352,22 @@ impl<'a> Stage<'a> {
                 let j = cell[1].checked_add_signed(*dj as isize)?;
                 let inside = i < self.lattice.n[0] && j < self.lattice.n[1];
                 let at = self.lattice.index([i, j]);
-                (inside && self.exact.data[at] <= height - k).then_some((at, height - k))
+                (inside && free[at] <= height - k).then_some((at, height - k))
             });
             if let Some((at, z)) = reached {
-                let z = self.exact.data[at].max(z - 0.25 * h);
+                let z = free[at].max(z - 0.25 * h);
                 need[at] = need[at].min(z);
             }
         }
         let near = self.near();
         let ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
         self.levels(&need, &ceiling, &near);
-        self.uncovered().1
+        self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM).1
     }
 
-    /// Region voxels farther than half a pitch under what the edge swept (cell and height), and
-    /// the fraction of the others.
-    fn uncovered(&self) -> (Vec<(Cell, f32)>, f64) {
+    /// Region voxels farther than `slack` under what the edge swept (cell and height), and the
+    /// fraction of the others.
+    fn uncovered(&self, slack: f64) -> (Vec<(Cell, f32)>, f64) {
         let l = self.lattice;
         let mut swept = Image::empty(l);
         let cut = |w: &&[Move]| w[1].kind == MoveKind::Cut;
@@ -364,7 +382,7 @@ impl<'a> Stage<'a> {
             }
         }
         let reached = self.edge.dilate(&swept, l, f64::NEG_INFINITY);
-        let half = (self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM) as f32;
+        let half = slack as f32;
         let (mut left, mut all) = (Vec::new(), 0usize);
         for v in self.work.step.region.iter_ones() {
             let p = self.work.frame.center(v);

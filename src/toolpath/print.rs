@@ -174,11 +174,10 @@ fn beads(
         layer,
         z: slab.middle(),
     };
-    // Lines end half a bead from the innermost perimeter's edge: they are as wide as they are long.
-    let mut lines = fill(&offset(&difference(inner, bare), -w / 4.0), &how);
+    // Lines end on the edge of the innermost perimeter, into which their round ends bond.
+    let mut lines = fill(&difference(inner, bare), &how);
     if !bare.is_empty() {
-        let edge = offset(bare, -w / 4.0);
-        lines.extend(hatch(&of_paths(&edge), w, !layer.is_multiple_of(2), w / 2.0));
+        lines.extend(hatch(&of_paths(bare), w, !layer.is_multiple_of(2), w / 2.0));
     }
     let opened = offset(&offset(section, -first), first);
     let thin = area(&outlines(section)) - area(&outlines(&opened));
