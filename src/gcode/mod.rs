@@ -27,7 +27,7 @@ mod tests;
 mod words;
 
 pub use check::{check, check_program};
-pub use dialect::{Dialect, RS274};
+pub use dialect::{Comments, Dialect, Dwell, Extrusion, RS274};
 pub use post::{PostError, post};
 pub use program::{Checked, Program};
 pub use report::{CheckReport, Finding, Rule, StepFigures};
