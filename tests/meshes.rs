@@ -1,8 +1,12 @@
 //! Meshes that must load: what is written reads back, other readers agree, and real parts keep
 //! their known properties.
 
-use hmplan::base::DVec3;
+use hmplan::base::{Ctx, DAffine3, DMat3, DVec2, DVec3, Direction};
+use hmplan::machine::{Holding, Machine, ToolKind};
 use hmplan::mesh::{Format, Health, LoadedMesh, ReadOptions, TriMesh, read, write_obj, write_stl};
+use hmplan::plan::{Job, Origin, Plan, Rules, Step, StepKind};
+use hmplan::toolpath::{INSET_SLACK, MoveKind, for_unverified};
+use hmplan::voxel::{BitGrid, Frame, voxelise};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
@@ -215,4 +219,112 @@ fn real_meshes_have_their_known_health() {
     assert!(!open.watertight && open.holes >= 1 && open.boundary_edges >= 3);
     assert!(open.warnings().iter().any(|w| w.contains("holes")));
     assert!(open.warnings().iter().any(|w| w.contains("--unit m")));
+}
+
+/// The exact section of a mesh at a height, as loose segments: plain loops over all triangles.
+fn section_segments(mesh: &TriMesh, z: f64) -> Vec<(DVec2, DVec2)> {
+    let cut = |t: usize| {
+        let c = mesh.corners(t);
+        let mut ends = Vec::new();
+        for i in 0..3 {
+            let (a, b) = (c[i], c[(i + 1) % 3]);
+            if (a.z > z) != (b.z > z) {
+                ends.push(a.lerp(b, (z - a.z) / (b.z - a.z)).truncate());
+            }
+        }
+        (ends.len() == 2).then(|| (ends[0], ends[1]))
+    };
+    (0..mesh.triangles().len()).filter_map(cut).collect()
+}
+
+fn apart(p: DVec2, (a, b): (DVec2, DVec2)) -> f64 {
+    let way = b - a;
+    let t = (p - a).dot(way) / way.length_squared().max(1e-18);
+    (a + way * t.clamp(0.0, 1.0)).distance(p)
+}
+
+/// One block printed from an empty base: material as slicers lay it, beads on the exact sections.
+#[test]
+fn fertility_is_printed_on_its_exact_sections() {
+    let Some(dir) = shared_meshes() else { return };
+    let raw = load(&dir.join("fertility.off")).mesh;
+    let size = raw.bounds().size();
+    let scale = DMat3::from_diagonal(DVec3::splat(100.0 / size.max_element()));
+    let down = DVec3::Z * -raw.bounds().min.z * (100.0 / size.max_element());
+    let mesh = raw.transformed(&DAffine3::from_mat3_translation(scale, down)).unwrap();
+    let frame = Frame::around(mesh.bounds(), 0.4, 2).unwrap();
+    let target = voxelise(&mesh, &frame, &Ctx::quiet()).unwrap();
+    let machine = Machine::builtin("generic-5axis").unwrap();
+    let nozzles: Vec<_> = machine.tools_of(ToolKind::Additive).into_iter().cloned().collect();
+    let step = Step {
+        kind: StepKind::Additive,
+        tool: nozzles[0].name.clone(),
+        direction: Direction::Z,
+        holding: 0,
+        region: target.clone(),
+        block: 0,
+        origin: Origin::default(),
+    };
+    let job = Job {
+        initial: BitGrid::new(frame.dims),
+        target,
+        frame,
+        initial_mesh: TriMesh::default(),
+        target_mesh: mesh.clone(),
+        machine,
+        cutters: Vec::new(),
+        nozzles,
+        rules: Rules::for_pitch(0.4, 0.2),
+    };
+    let plan = Plan { holdings: vec![Holding::AS_CLAMPED], steps: vec![step] };
+    let cpu = cpu_seconds();
+    let paths = for_unverified(&job, &plan, &Ctx::quiet()).unwrap();
+    let cpu = cpu_seconds() - cpu;
+    let path = &paths.all()[0];
+    let cm3 = path.figures.material_mm3 / 1000.0;
+    let volume = mesh.signed_volume() / 1000.0;
+    println!("{cm3:.2} cm³ of beads in a part of {volume:.2} cm³, {cpu:.2} s of processor time");
+    println!("{:?}", path.figures);
+    assert!((26.0..=30.0).contains(&cm3), "{cm3} cm³");
+
+    // Centre lines lie half a bead (less the slack of a hundredth) inside the exact section.
+    let inset = 0.5 * (0.5 - INSET_SLACK);
+    let mut tips: Vec<f64> = Vec::new();
+    for m in path.moves.iter().filter(|m| m.kind == MoveKind::Deposit) {
+        if tips.last().is_none_or(|z| m.tip.z > z + 1e-6) {
+            tips.push(m.tip.z);
+        }
+    }
+    let (mut near, mut all, mut least) = (0, 0, f64::INFINITY);
+    for k in (3..tips.len() - 3).step_by(tips.len() / 12) {
+        let z = tips[k];
+        let segments = section_segments(&mesh, z - 0.1);
+        let beads: Vec<(DVec2, DVec2)> = path
+            .moves
+            .windows(2)
+            .filter(|w| w[1].kind == MoveKind::Deposit && (w[1].tip.z - z).abs() < 1e-6)
+            .map(|w| (w[0].tip.truncate(), w[1].tip.truncate()))
+            .collect();
+        for b in &beads {
+            let gap = segments.iter().map(|s| apart(b.1, *s)).fold(f64::INFINITY, f64::min);
+            least = least.min(gap);
+        }
+        for s in &segments {
+            let middle = (s.0 + s.1) / 2.0;
+            let gap = beads.iter().map(|b| apart(middle, *b)).fold(f64::INFINITY, f64::min);
+            all += 1;
+            near += usize::from((gap - inset).abs() <= 0.02);
+        }
+    }
+    let share = near as f64 / all as f64;
+    println!("least inset {least:.4} mm of {inset}; {share:.4} of {all} segments within 0.02 mm");
+    assert!(least > inset - 0.02, "{least}");
+    assert!(share > 0.97, "{share}");
+}
+
+/// Processor seconds of this process so far, where the system tells.
+fn cpu_seconds() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields: Vec<&str> = stat.rsplit(") ").next().unwrap_or("").split(' ').collect();
+    fields.get(11).and_then(|t| t.parse::<f64>().ok()).unwrap_or(0.0) / 100.0
 }

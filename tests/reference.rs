@@ -6,8 +6,9 @@
 #[path = "reference/venv.rs"]
 mod venv;
 
-use hmplan::base::{Ctx, DVec3};
+use hmplan::base::{Ctx, DVec2, DVec3};
 use hmplan::mesh::{self, ReadOptions, TriMesh};
+use hmplan::toolpath::{DropCutter, End};
 use hmplan::voxel::{Frame, voxelise};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -127,4 +128,54 @@ fn voxel_booleans_agree_with_manifold() {
         let reuse_ideal = ours.common / ours.target;
         assert!((reuse_ideal - pair.reuse_ideal).abs() <= 0.01, "{}: R_V {reuse_ideal}", pair.name);
     }
+}
+
+/// What `drop_cutter.py` prints.
+#[derive(Deserialize)]
+struct Dropped {
+    cases: Vec<Case>,
+}
+
+#[derive(Deserialize)]
+struct Case {
+    part: String,
+    ball: bool,
+    diameter: f64,
+    points: Vec<(f64, f64, Option<f64>)>,
+}
+
+/// Largest difference of a tip's height, mm.
+const DROP_MM: f64 = 0.005;
+
+#[test]
+fn drop_cutter_heights_agree_with_opencamlib() {
+    if venv::is_skipped() {
+        println!("skipped: {} is set", venv::SKIP_VARIABLE);
+        return;
+    }
+    let printed = venv::run("drop_cutter.py", &[&folder()]).unwrap_or_else(|why| panic!("{why}"));
+    let dropped: Dropped = serde_json::from_str(&printed).unwrap();
+    assert_eq!(dropped.cases.len(), 18, "three parts, three ball and three flat ends");
+    let mut worst = 0.0f64;
+    for case in &dropped.cases {
+        let path = folder().join(format!("{}.obj", case.part));
+        let mesh = mesh::read(&path, &ReadOptions { mm_per_unit: 1.0 }).unwrap().mesh;
+        let triangles = (0..mesh.triangles().len()).map(|t| mesh.corners(t)).collect();
+        let radius = case.diameter / 2.0;
+        let drop = DropCutter::new(triangles, radius);
+        let end = if case.ball { End::Ball { radius } } else { End::Flat { radius } };
+        let mut met = 0;
+        for &(x, y, theirs) in &case.points {
+            let ours = drop.height(end, DVec2::new(x, y));
+            let what = format!("{} {end:?} at ({x}, {y}): {ours:?} for {theirs:?}", case.part);
+            assert_eq!(ours.is_some(), theirs.is_some(), "{what}");
+            if let (Some(ours), Some(theirs)) = (ours, theirs) {
+                assert!((ours - theirs).abs() <= DROP_MM, "{what}");
+                worst = worst.max((ours - theirs).abs());
+                met += 1;
+            }
+        }
+        assert!(met > 500, "{} {end:?}: only {met} of {} met", case.part, case.points.len());
+    }
+    println!("largest difference {worst:.6} mm");
 }

@@ -20,6 +20,9 @@ pub struct Posted {
     /// None when the program may not be handed out.
     pub text: Option<String>,
     pub step_seconds: Vec<f64>,
+    /// Volumes that the program lays and removes, mm³.
+    pub deposited_mm3: f64,
+    pub removed_mm3: f64,
     pub rules: Vec<RuleLine>,
 }
 
@@ -114,13 +117,15 @@ pub fn post(job: &Job, verdict: &Verdict, regardless: bool, ctx: &Ctx) -> Result
             Ok(Posted {
                 text,
                 step_seconds: report.steps.iter().map(|s| s.time_s).collect(),
+                deposited_mm3: report.steps.iter().map(|s| s.deposited_mm3).sum(),
+                removed_mm3: report.steps.iter().map(|s| s.removed_mm3).sum(),
                 rules: program_rules(&report),
             })
         }
         Err(PostError::Paths(ToolpathError::Cancelled(_))) => Err(Failure::Interrupted),
         Err(e) => {
             let rule = RuleLine { rule: "program".into(), passed: false, figure: e.to_string() };
-            Ok(Posted { text: None, step_seconds: Vec::new(), rules: vec![rule] })
+            Ok(Posted { rules: vec![rule], ..Posted::default() })
         }
     }
 }

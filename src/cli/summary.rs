@@ -63,7 +63,18 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
     );
     row("skin", format!("{} left for finishing", volume(s.skin_mm3)));
     match &file.program {
-        Some(p) => row("program", format!("{}, {} lines", p.path, p.lines)),
+        Some(p) => {
+            row("program", format!("{}, {} lines", p.path, p.lines));
+            row(
+                "machine",
+                format!(
+                    "{:.0} min; {} deposited, {} swept away",
+                    p.time_s / 60.0,
+                    volume(p.deposited_mm3),
+                    volume(p.removed_mm3)
+                ),
+            );
+        }
         None => row("program", "none".into()),
     }
     let [x, y, z] = file.grid.dims;

@@ -55,8 +55,10 @@ pub fn check(
     ctx.end();
     let mut findings = run.findings;
     let mut steps = Vec::with_capacity(plan.steps.len());
-    for (i, (figures, more)) in judged?.into_iter().enumerate() {
+    for (i, (mut figures, more)) in judged?.into_iter().enumerate() {
         findings.extend(more);
+        let idle = run.idle.iter().filter(|(changes, _)| *changes == i + 1).map(|(_, s)| s);
+        figures.time_s += job.machine.control.tool_change_s + idle.sum::<f64>();
         if let Some(p) = promised.and_then(|p| p.all().get(i)) {
             let line = run.step_lines.get(i).copied().unwrap_or(lines.max(1));
             findings.extend(against(&figures, p, line));
@@ -101,6 +103,7 @@ fn judge_step(
         before: &replay.states[i],
         after: &replay.states[i + 1],
         fixed: &replay.fixed[i],
+        tolerance: job.rules.tolerance_mm,
         line,
     };
     let from = motions.partition_point(|m| m.step < i);

@@ -1,35 +1,141 @@
-/// How a control wants its programs written. A new control is a new value of this struct.
+//! How controls differ in the programs they take. A new control is a new value of [`Dialect`].
+//!
+//! The extruder's codes come from the machine's profile. LinuxCNC takes M70 to M73 itself (saving
+//! and restoring modal state), so there they are written as user-defined codes a hundred higher,
+//! M170 to M175, each a script of that name. RepRapFirmware has an E axis instead.
+
+use crate::machine::{Control, Extruder, ExtruderPort};
+
+/// A remark's delimiters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Comments {
+    Parentheses,
+    Semicolon,
+}
+
+/// How a wait of some seconds is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dwell {
+    /// `G4 P` in seconds.
+    Seconds,
+    /// `G4 P` in whole milliseconds.
+    Milliseconds,
+}
+
+/// How the bead is switched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extrusion {
+    /// By the profile's M codes.
+    Codes,
+    /// The same, those that collide with the control's own a hundred higher.
+    UserCodes,
+    /// By an E axis in relative mode; the module opens and closes by an output pin.
+    Axis,
+}
+
+/// How a control wants its programs written.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dialect {
     pub name: &'static str,
-    /// First lines after the header: units, distance, feed mode, plane, work offset.
+    /// First and last line of the file, where the control wants them.
+    pub marks: Option<(&'static str, &'static str)>,
+    /// Lines after the header; the work offset follows them.
     pub preamble: &'static [&'static str],
+    /// G codes that must have been said before anything moves, besides the work offset.
+    pub needed: &'static [u32],
     /// Digits after the point of linear words: 0.001 mm is finer than these machines move.
     pub linear_digits: usize,
     /// Digits of rotary words: 0.0001° is 0.35 µm at 200 mm.
     pub rotary_digits: usize,
     /// Longest line the control takes, bytes.
     pub longest_line: usize,
+    pub comments: Comments,
+    pub dwell: Dwell,
+    /// Whether every block has a number.
+    pub numbered: bool,
+    /// Whether a motion code holds until the next one; else it is written in every block.
+    pub modal: bool,
+    /// `T M6` and `G43 H`; else `T` alone changes the tool and applies its length.
+    pub m6: bool,
+    pub extrusion: Extrusion,
+    /// Waits for a person.
+    pub pause: u32,
+    pub end: u32,
 }
 
 /// Plain RS-274 with tool length compensation (G43) and moves in machine coordinates (G53).
-/// Extruder codes come from the machine's profile: LinuxCNC itself and grblHAL take M70 to M73
-/// for modal state, so there they must be other codes or go to a second port.
 pub const RS274: Dialect = Dialect {
     name: "rs274",
-    preamble: &["G21", "G90", "G94", "G17", "G54"],
+    marks: None,
+    preamble: &["G21", "G90", "G94", "G17"],
+    needed: &[17, 21, 90, 94],
     linear_digits: 3,
     rotary_digits: 4,
     longest_line: 256,
+    comments: Comments::Parentheses,
+    dwell: Dwell::Seconds,
+    numbered: false,
+    modal: true,
+    m6: true,
+    extrusion: Extrusion::Codes,
+    pause: 0,
+    end: 30,
+};
+
+/// LinuxCNC: exact path with a small blending tolerance, user-defined codes for the extruder.
+const LINUXCNC: Dialect = Dialect {
+    name: "linuxcnc",
+    preamble: &["G21", "G90", "G94", "G17", "G40", "G49", "G64 P0.01"],
+    longest_line: 255,
+    extrusion: Extrusion::UserCodes,
+    ..RS274
+};
+
+/// RepRapFirmware 3: an E axis in relative mode; M30 would delete a file there, so M0 ends.
+const RRF: Dialect = Dialect {
+    name: "rrf",
+    preamble: &["G21", "G90", "M83"],
+    needed: &[21, 90],
+    comments: Comments::Semicolon,
+    dwell: Dwell::Milliseconds,
+    modal: false,
+    m6: false,
+    extrusion: Extrusion::Axis,
+    pause: 226,
+    end: 0,
+    ..RS274
+};
+
+/// Fanuc and those who follow it: a program number between percent signs, numbered blocks.
+const FANUC: Dialect = Dialect {
+    name: "fanuc",
+    marks: Some(("%\nO0001", "%")),
+    preamble: &["G21", "G90", "G94", "G17", "G40", "G49", "G80"],
+    dwell: Dwell::Milliseconds,
+    numbered: true,
+    ..RS274
 };
 
 /// Names under which machine profiles ask for a dialect.
-const NAMES: [(&str, Dialect); 4] = [
+const NAMES: [(&str, Dialect); 6] = [
     ("rs274", RS274),
-    ("linuxcnc", Dialect { name: "linuxcnc", ..RS274 }),
+    ("linuxcnc", LINUXCNC),
     ("grblhal", Dialect { name: "grblhal", ..RS274 }),
+    ("rrf", RRF),
+    ("fanuc", FANUC),
     ("mx220", Dialect { name: "mx220", ..RS274 }),
 ];
+
+/// The six codes of the extruder module as numbers of M words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct ModuleCodes {
+    pub open: u32,
+    pub close: u32,
+    pub on: u32,
+    pub off: u32,
+    pub draw: u32,
+    pub give: u32,
+}
 
 impl Dialect {
     pub fn named(name: &str) -> Option<Dialect> {
@@ -39,6 +145,34 @@ impl Dialect {
     /// The names [`Dialect::named`] knows.
     pub fn names() -> impl Iterator<Item = &'static str> {
         NAMES.iter().map(|(n, _)| *n)
+    }
+
+    /// The dialect a control's profile names, with what the profile changes of it.
+    pub fn of(control: &Control) -> Option<Dialect> {
+        let mut d = Dialect::named(&control.dialect)?;
+        let post = &control.post;
+        d.numbered = post.line_numbers.unwrap_or(d.numbered);
+        d.linear_digits = post.linear_digits.map_or(d.linear_digits, |n| n as usize);
+        d.rotary_digits = post.rotary_digits.map_or(d.rotary_digits, |n| n as usize);
+        Some(d)
+    }
+
+    /// The M codes that drive the module; none when a profile's code is not one.
+    pub(super) fn module_codes(&self, e: &Extruder) -> Option<ModuleCodes> {
+        // A board on a port of its own never meets the control's meaning of a code.
+        let shift = self.extrusion == Extrusion::UserCodes && e.port == ExtruderPort::Same;
+        let code = |text: &str| {
+            let m = text.strip_prefix('M')?.parse::<u32>().ok()?;
+            Some(if shift && (70..=75).contains(&m) { m + 100 } else { m })
+        };
+        Some(ModuleCodes {
+            open: code(&e.m_open)?,
+            close: code(&e.m_close)?,
+            on: code(&e.m_on)?,
+            off: code(&e.m_off)?,
+            draw: code(&e.m_retract_on)?,
+            give: code(&e.m_retract_off)?,
+        })
     }
 }
 
@@ -61,5 +195,19 @@ mod tests {
         assert_eq!(number(-0.0, 3), "0.000");
         assert_eq!(number(-1.5, 3), "-1.500");
         assert_eq!(number(12.34567, 4), "12.3457");
+    }
+
+    #[test]
+    fn codes_that_collide_move_up_by_a_hundred_on_the_same_port_only() {
+        let linuxcnc = Dialect::named("linuxcnc").unwrap();
+        let mut e = Extruder::default();
+        assert_eq!(linuxcnc.module_codes(&e).unwrap().on, 172);
+        assert_eq!(RS274.module_codes(&e).unwrap().on, 72);
+        e.m_on = "M112".into();
+        assert_eq!(linuxcnc.module_codes(&e).unwrap().on, 112);
+        e.port = ExtruderPort::Second;
+        assert_eq!(linuxcnc.module_codes(&e).unwrap().open, 70);
+        e.m_on = "72".into();
+        assert_eq!(linuxcnc.module_codes(&e), None);
     }
 }

@@ -7,22 +7,27 @@
 //! Guarantees: the same paths give the same bytes; a [`Checked`] program broke no [`Rule`], and
 //! only [`check_program`] makes one. Not guaranteed: that a control's own settings match
 //! the profile (tool lengths, G54 at zero); the way of the tool while rotary axes turn, beyond
-//! that it stands parked; times, which ignore acceleration and tool changes.
+//! that it stands parked; arcs, which are neither written nor read.
 
 mod check;
 mod dialect;
 mod interpret;
+mod module;
 mod post;
 mod program;
 mod report;
 mod skyline;
 mod sweep;
 #[cfg(test)]
+mod dialect_tests;
+#[cfg(test)]
+mod mutation_tests;
+#[cfg(test)]
 mod tests;
 mod words;
 
 pub use check::{check, check_program};
-pub use dialect::{Dialect, RS274};
+pub use dialect::{Comments, Dialect, Dwell, Extrusion, RS274};
 pub use post::{PostError, post};
 pub use program::{Checked, Program};
 pub use report::{CheckReport, Finding, Rule, StepFigures};

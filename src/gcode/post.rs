@@ -3,10 +3,11 @@
 //! Per step: spindle and extruder off, retract to the parking height in machine coordinates, tool
 //! change, rotary axes indexed there, then down to the safe height of the step, and its moves.
 
-use super::dialect::{Dialect, number};
+use super::dialect::{Comments, Dialect, Dwell, number};
+use super::module::{Bead, Module};
 use super::program::Program;
 use crate::base::DVec3;
-use crate::machine::{Extruder, NoPosture, Overtravel, Placement, RotaryAngles, Tool};
+use crate::machine::{NoPosture, Overtravel, Placement, RotaryAngles, Tool};
 use crate::plan::{Job, Plan, StepKind};
 use crate::toolpath::{Move, MoveKind, Replay, Toolpath, ToolpathError, Toolpaths};
 use std::fmt::Write;
@@ -39,7 +40,7 @@ pub enum PostError {
 /// When the machine cannot make a step as the paths want it.
 pub fn post(job: &Job, plan: &Plan, paths: &Toolpaths, digest: &str) -> Result<Program, PostError> {
     let name = &job.machine.control.dialect;
-    let dialect = Dialect::named(name).ok_or_else(|| PostError::UnknownDialect {
+    let dialect = Dialect::of(&job.machine.control).ok_or_else(|| PostError::UnknownDialect {
         name: name.clone(),
         known: Dialect::names().collect::<Vec<_>>().join(", "),
     })?;
@@ -54,6 +55,7 @@ pub fn post(job: &Job, plan: &Plan, paths: &Toolpaths, digest: &str) -> Result<P
         out: String::new(),
         rotary: job.machine.kinematics.home(),
         last: Modal::default(),
+        block: 0,
     };
     writer.header(plan, paths, digest);
     let mut holding = 0;
@@ -88,7 +90,16 @@ struct Writer<'a> {
     out: String,
     rotary: RotaryAngles,
     last: Modal,
+    /// Number of the last numbered block.
+    block: u32,
 }
+
+/// Block numbers go up by this and begin anew where they would outgrow five digits.
+const NUMBER_STEP: u32 = 10;
+const LAST_NUMBER: u32 = 99_990;
+
+/// How fast filament is drawn back and given again where there is an E axis, mm/min.
+const RETRACT_FEED: f64 = 1800.0;
 
 /// Keeps what may stand in a comment of any control.
 fn plain(text: &str) -> String {
@@ -97,23 +108,41 @@ fn plain(text: &str) -> String {
 }
 
 impl Writer<'_> {
+    /// One block.
     fn line(&mut self, text: &str) {
+        if self.dialect.numbered {
+            self.block = if self.block >= LAST_NUMBER { 0 } else { self.block } + NUMBER_STEP;
+            let _ = write!(self.out, "N{} ", self.block);
+        }
+        self.raw(text);
+    }
+
+    fn raw(&mut self, text: &str) {
         self.out.push_str(text);
         self.out.push('\n');
     }
 
     fn comment(&mut self, text: &str) {
         let text = plain(text);
-        self.line(&format!("({text})"));
+        match self.dialect.comments {
+            Comments::Parentheses => self.raw(&format!("({text})")),
+            Comments::Semicolon => self.raw(&format!("; {text}")),
+        }
     }
 
     fn header(&mut self, plan: &Plan, paths: &Toolpaths, digest: &str) {
         let job = self.job;
+        if let Some((first, _)) = self.dialect.marks {
+            self.raw(first);
+        }
         self.comment(&format!("hmplan {}", env!("CARGO_PKG_VERSION")));
         self.comment(&format!("plan {digest}"));
         self.comment(if paths.verified() { "plan verified" } else { "PLAN NOT VERIFIED" });
         self.comment(&format!("machine {}, dialect {}", job.machine.name, self.dialect.name));
-        self.comment("X Y Z: tip in machine coordinates with the head at zero, G54 offset zero");
+        let offset = job.machine.control.post.work_offset;
+        self.comment(&format!(
+            "X Y Z: tip in machine coordinates with the head at zero, G{offset} offset zero"
+        ));
         let [x, y, z] = job.machine.kinematics.table_center_mm;
         let pedestal = job.machine.workholding.pedestal_mm;
         self.comment(&format!("table centre {x:.3} {y:.3} {z:.3}, pedestal {pedestal:.3} mm"));
@@ -128,17 +157,21 @@ impl Writer<'_> {
         for l in self.dialect.preamble {
             self.line(l);
         }
+        self.line(&format!("G{offset}"));
     }
 
     fn refixture(&mut self, path: &Toolpath) {
         self.park();
         self.comment(&format!("hold the part anew: holding {}", path.holding));
-        self.line("M0");
+        self.line(&format!("M{}", self.dialect.pause));
     }
 
     fn epilogue(&mut self) {
         self.park();
-        self.line("M30");
+        self.line(&format!("M{}", self.dialect.end));
+        if let Some((_, last)) = self.dialect.marks {
+            self.raw(last);
+        }
     }
 
     /// To the parking height in machine coordinates; what was modal is said anew afterwards.
@@ -162,29 +195,34 @@ impl Writer<'_> {
         self.comment(&format!("step {}: {kind}, tool {}", step + 1, path.tool));
         self.comment(&format!("direction {:.6} {:.6} {:.6}", d.x, d.y, d.z));
         self.park();
-        self.line(&format!("T{number_of_tool} M6"));
-        self.line(&format!("G43 H{number_of_tool}"));
+        if self.dialect.m6 {
+            self.line(&format!("T{number_of_tool} M6"));
+            self.line(&format!("G43 H{number_of_tool}"));
+        } else {
+            self.line(&format!("T{number_of_tool}"));
+        }
         self.index(rotary);
         match path.kind {
             StepKind::Subtractive => {
-                self.line(&format!("S{:.0} M3", job.machine.control.spindle(&tool.process)));
+                self.line(&format!("M3 S{:.0}", job.machine.control.spindle(&tool.process)));
                 self.moves(path, placement, tool, None)?;
                 self.park();
                 self.line("M5");
             }
             StepKind::Additive => {
                 let machine = job.machine.name.clone();
-                let no_extruder = || PostError::NoExtruder { step, machine };
+                let no_extruder = || PostError::NoExtruder { step, machine: machine.clone() };
                 let extruder = job.machine.extruder.as_ref().ok_or_else(no_extruder)?;
                 let (feed, limit) =
                     (extruder.feed_mm_min(&tool.process), job.machine.control.max_feed_mm_min);
                 if feed > limit {
                     return Err(PostError::TooFast { step, feed, limit });
                 }
-                self.line(&extruder.m_open);
-                self.moves(path, placement, tool, Some(extruder))?;
+                let module = Module::of(&self.dialect, extruder, tool).ok_or_else(no_extruder)?;
+                self.line(&module.open());
+                self.moves(path, placement, tool, Some(module))?;
                 self.park();
-                self.line(&extruder.m_close);
+                self.line(&module.close());
             }
         }
         Ok(())
@@ -238,59 +276,94 @@ impl Writer<'_> {
         path: &Toolpath,
         placement: &Placement,
         tool: &Tool,
-        extruder: Option<&Extruder>,
+        module: Option<Module>,
     ) -> Result<(), PostError> {
         let job = self.job;
         let digits = self.dialect.linear_digits;
-        let (mut on, mut drawn, mut primed) = (false, false, false);
+        let mut state = Bead::default();
+        let mut before: Option<DVec3> = None;
         for (i, m) in path.moves.iter().enumerate() {
             let axes = job.machine.axes(placement, self.rotary, m.tip, tool);
             job.machine
                 .check_travel(placement, self.rotary, tool, &[m.tip])
                 .map_err(|source| PostError::Travel { step: path.step, source })?;
-            if let Some(e) = extruder {
-                let lay = m.kind == MoveKind::Deposit;
-                if on && !lay {
-                    self.line(&e.m_off);
-                    self.line(&e.m_retract_on);
-                    (on, drawn) = (false, true);
-                } else if !on && !lay && !drawn {
-                    self.line(&e.m_retract_on);
-                    drawn = true;
-                } else if !on && lay {
-                    if drawn {
-                        self.line(&e.m_retract_off);
-                    }
-                    self.line(&e.m_on);
-                    (on, drawn) = (true, false);
-                    if !primed && e.prime_s > 0.0 {
-                        self.line(&format!("G4 P{}", number(e.prime_s, 3)));
-                    }
-                    primed = true;
-                }
+            let lay = m.kind == MoveKind::Deposit;
+            if let Some(e) = &module {
+                self.switch(e, &mut state, lay);
             }
             let words = [axes.x, axes.y, axes.z].map(|v| number(v, digits));
             if i == 0 {
                 // Across at the parking height first, then along the machine's z.
-                self.motion(m, &[Some(&words[0]), Some(&words[1]), None]);
+                self.motion(m, &[Some(&words[0]), Some(&words[1]), None], None);
             }
-            self.motion(m, &[Some(&words[0]), Some(&words[1]), Some(&words[2])]);
+            let length = before.map_or(0.0, |b| b.distance(m.tip));
+            let filament = module.as_ref().filter(|_| lay).and_then(|e| e.filament(length, m.feed));
+            self.motion(m, &[Some(&words[0]), Some(&words[1]), Some(&words[2])], filament);
+            before = Some(m.tip);
         }
-        if let Some(e) = extruder {
-            if on {
-                self.line(&e.m_off);
-                self.line(&e.m_retract_on);
-                drawn = true;
-            }
-            if drawn {
-                self.line(&e.m_retract_off);
+        if let Some(e) = &module {
+            self.switch(e, &mut state, false);
+            if state.drawn {
+                self.give(e);
             }
         }
         Ok(())
     }
 
+    /// Puts the bead into the state the next move needs.
+    fn switch(&mut self, e: &Module, state: &mut Bead, lay: bool) {
+        if lay == state.on && (lay || state.drawn) {
+            return;
+        }
+        if !lay {
+            if state.on && e.axis.is_none() {
+                self.line(&format!("M{}", e.codes.off));
+            }
+            self.draw(e);
+            (state.on, state.drawn) = (false, true);
+            return;
+        }
+        if state.drawn {
+            self.give(e);
+        }
+        if e.axis.is_none() {
+            self.line(&format!("M{}", e.codes.on));
+            if !state.primed && e.prime_s > 0.0 {
+                self.dwell(e.prime_s);
+            }
+        }
+        *state = Bead { on: true, drawn: false, primed: true };
+    }
+
+    fn dwell(&mut self, seconds: f64) {
+        let text = match self.dialect.dwell {
+            Dwell::Seconds => format!("G4 P{}", number(seconds, 3)),
+            Dwell::Milliseconds => format!("G4 P{}", number(1000.0 * seconds, 0)),
+        };
+        self.line(&text);
+    }
+
+    fn draw(&mut self, e: &Module) {
+        match e.axis {
+            Some(axis) => self.filament(-axis.retract_mm),
+            None => self.line(&format!("M{}", e.codes.draw)),
+        }
+    }
+
+    fn give(&mut self, e: &Module) {
+        match e.axis {
+            Some(axis) => self.filament(axis.retract_mm),
+            None => self.line(&format!("M{}", e.codes.give)),
+        }
+    }
+
+    fn filament(&mut self, by: f64) {
+        self.line(&format!("G1 E{} F{}", number(by, E_DIGITS), number(RETRACT_FEED, 1)));
+        (self.last.motion, self.last.feed) = (Some(1), None);
+    }
+
     /// One block; words that repeat the last value are left out, a block without words too.
-    fn motion(&mut self, m: &Move, words: &[Option<&String>; 3]) {
+    fn motion(&mut self, m: &Move, words: &[Option<&String>; 3], filament: Option<f64>) {
         let code = if m.kind == MoveKind::Rapid { 0 } else { 1 };
         let mut text = String::new();
         for ((letter, word), last) in "XYZ".chars().zip(words).zip(&mut self.last.words) {
@@ -304,6 +377,9 @@ impl Writer<'_> {
         if text.is_empty() {
             return;
         }
+        if let Some(e) = filament {
+            let _ = write!(text, " E{}", number(e, E_DIGITS));
+        }
         if code == 1 {
             let feed = number(m.feed.min(self.job.machine.control.max_feed_mm_min), 1);
             if self.last.feed.as_ref() != Some(&feed) {
@@ -311,7 +387,7 @@ impl Writer<'_> {
                 self.last.feed = Some(feed);
             }
         }
-        let text = if self.last.motion == Some(code) {
+        let text = if self.dialect.modal && self.last.motion == Some(code) {
             text.trim_start().to_string()
         } else {
             format!("G{code}{text}")
@@ -320,3 +396,6 @@ impl Writer<'_> {
         self.line(&text);
     }
 }
+
+/// Digits of E words: 10⁻⁵ mm of filament are 2·10⁻⁴ mm of a fine bead.
+const E_DIGITS: usize = 5;

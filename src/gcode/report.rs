@@ -27,7 +27,10 @@ pub enum Rule {
     Gouge,
     /// Cutting stays over the step's region, beads in it.
     Astray,
-    /// The edge sweeps the region; beads fill it; both as much as the plan says.
+    /// No cut takes more than half its width much deeper than a roughing level.
+    Engagement,
+    /// The edge sweeps the region and leaves no lump of it deeper than the surface tolerance;
+    /// beads fill it; both as much as the plan says.
     Volume,
     /// The program ends with everything off, and nothing follows.
     End,
@@ -48,6 +51,7 @@ impl Rule {
             Rule::Rapid => "rapid",
             Rule::Gouge => "gouge",
             Rule::Astray => "astray",
+            Rule::Engagement => "engagement",
             Rule::Volume => "volume",
             Rule::End => "end",
         }
@@ -80,14 +84,17 @@ impl fmt::Display for Finding {
 pub struct StepFigures {
     /// Length at feed with the spindle on, or of beads, mm.
     pub working_mm: f64,
-    /// Bead volume: length × bead section, mm³.
+    /// Bead volume: length × rate/feed, mm³.
     pub deposited_mm3: f64,
+    /// Volume of the region's voxels that the edge swept, mm³; 0 for additive steps.
+    pub removed_mm3: f64,
     /// Volume of the plan's region, mm³.
     pub region_mm3: f64,
     /// Fraction of the region's voxels that the edge swept, or that lie within the infill's
     /// reach of a bead.
     pub coverage: f64,
-    /// Lengths over feeds, s; acceleration and tool changes are ignored.
+    /// Time of the step, s: its motion with acceleration, the tool change before it, the turning
+    /// of the rotary axes and the waits.
     pub time_s: f64,
 }
 

@@ -11,6 +11,7 @@ use super::skyline::Skyline;
 use crate::base::{DVec2, DVec3, ImagePlane};
 use crate::machine::{Machine, Tool};
 use crate::plan::{Step, StepKind};
+use crate::toolpath::{Leg, motion_s};
 use crate::voxel::{BitGrid, Frame};
 
 /// Smallest fraction of a subtractive region that the edge must sweep. Every voxel has a tip that
@@ -24,6 +25,12 @@ pub const LEAST_FILLED: f64 = 0.90;
 /// Beads may exceed the region's volume by this factor: they overlap where outlines are narrow.
 pub const MOST_FILLED: f64 = 1.15;
 
+/// Fewest voxels that count as a lump left over: single ones are corners of the staircase.
+const LEAST_LUMP: usize = 8;
+
+/// Roughing levels that a cut may be deep: one, and terraces and corners that another pass left.
+const LEVELS: f64 = 2.0;
+
 /// Slack in mm for positions written with three decimals.
 const WRITTEN_MM: f64 = 0.01;
 
@@ -36,6 +43,8 @@ pub(super) struct Scene<'a> {
     pub before: &'a BitGrid,
     pub after: &'a BitGrid,
     pub fixed: &'a [DVec3],
+    /// Surface tolerance of the plan, mm.
+    pub tolerance: f64,
     /// Line of the step's tool change.
     pub line: usize,
 }
@@ -47,11 +56,17 @@ pub(super) fn judge(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Find
         StepKind::Additive => beads(scene, motions),
     };
     findings.extend(volume);
-    let rapid = scene.machine.control.rapid_mm_min;
-    for m in motions {
-        let feed = if m.gait == Gait::Rapid || m.feed <= 0.0 { rapid } else { m.feed };
-        figures.time_s += m.from.map_or(0.0, |f| f.distance(m.to)) / feed * 60.0;
-    }
+    let control = &scene.machine.control;
+    let mut bead = false;
+    let leg = |m: &Motion| {
+        let rapid = m.gait == Gait::Rapid || m.feed <= 0.0;
+        let speed = if rapid { control.rapid_mm_min } else { m.feed } / 60.0;
+        let lays = m.gait == Gait::Deposit;
+        let stops = std::mem::replace(&mut bead, lays) != lays;
+        Leg { by: m.from.map_or(DVec3::ZERO, |f| m.to - f), speed, stops }
+    };
+    let legs: Vec<Leg> = motions.iter().map(leg).collect();
+    figures.time_s = motion_s(&legs, control.acceleration_mm_s2);
     (figures, findings)
 }
 
@@ -230,7 +245,18 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     let near = offsets((radius + slack) / (h / 2.0));
     let swept = centers.iter().filter(|p| lowest.swept(**p, scene.tool, &near, slack)).count();
     figures.coverage = swept as f64 / centers.len() as f64;
+    figures.removed_mm3 = swept as f64 * scene.frame.voxel_volume();
     let mut findings = astray.findings;
+    findings.extend(engagement(scene, motions, &centers, &lowest));
+    let near = offsets((radius + scene.tolerance) / (h / 2.0));
+    let missed: Vec<DVec3> = centers
+        .iter()
+        .filter(|p| !lowest.swept(**p, scene.tool, &near, scene.tolerance))
+        .copied()
+        .collect();
+    if missed.len() >= LEAST_LUMP {
+        findings.push(lump(scene, motions, &missed));
+    }
     if figures.coverage < LEAST_SWEPT {
         let message = format!(
             "the edge sweeps {:.1} % of the {volume:.0} mm³ to remove, less than {:.0} %",
@@ -240,6 +266,73 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
         findings.push(Finding { line: scene.line, rule: Rule::Volume, message });
     }
     (figures, findings)
+}
+
+/// What is left of the region deeper than the tolerance, at the line that passes nearest.
+fn lump(scene: &Scene, motions: &[Motion], missed: &[DVec3]) -> Finding {
+    let middle = missed.iter().copied().sum::<DVec3>() / missed.len() as f64;
+    let apart = |m: &Motion| {
+        let (from, way) = (m.from.unwrap_or(m.to), m.to - m.from.unwrap_or(m.to));
+        let t = (middle - from).dot(way) / way.length_squared().max(1e-12);
+        (from + way * t.clamp(0.0, 1.0)).distance_squared(middle)
+    };
+    let cuts = motions.iter().filter(|m| m.gait == Gait::Feed);
+    let nearest = cuts.min_by(|a, b| apart(a).total_cmp(&apart(b)));
+    let message = format!(
+        "{:.1} mm³ around ({middle:.2}) are left deeper than {:.2} mm",
+        missed.len() as f64 * scene.frame.voxel_volume(),
+        scene.tolerance
+    );
+    Finding { line: nearest.map_or(scene.line, |m| m.line), rule: Rule::Volume, message }
+}
+
+/// Cuts that take more than half the cutter's width deeper than the roughing levels allow.
+fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowest) -> Vec<Finding> {
+    let (h, tool) = (scene.frame.pitch, scene.tool);
+    let radius = tool.active_radius();
+    let most = LEVELS * tool.process.step_down * 2.0 * radius + 2.0 * h;
+    let hi = over.origin + DVec2::new(over.n[0] as f64, over.n[1] as f64) * over.cell;
+    let cells = Lowest::over(over.origin, hi, h, over.plane);
+    let mut tops = vec![f64::NEG_INFINITY; cells.tips.len()];
+    for p in centers {
+        if let Some(c) = cells.cell_of(cells.plane.across(*p)) {
+            let top = &mut tops[c[0] + cells.n[0] * c[1]];
+            *top = top.max(cells.plane.height(*p) + h / 2.0);
+        }
+    }
+    let reach = (radius / h).floor() as i64;
+    let edge: Vec<(i64, i64, f64)> = (-reach..=reach)
+        .flat_map(|j| (-reach..=reach).map(move |i| (i, j)))
+        .map(|(i, j)| (i, j, tool.active_lower_surface((i as f64).hypot(j as f64) * h)))
+        .filter(|(_, _, z)| z.is_finite())
+        .collect();
+    let mut told = Told::new(Rule::Engagement);
+    for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
+        let (mut deepest, mut area) = (0.0f64, 0.0);
+        for p in samples(m, h / 2.0) {
+            let (uv, z) = (cells.plane.across(p), cells.plane.height(p));
+            let Some(c) = cells.cell_of(uv) else { continue };
+            for &(i, j, lower) in &edge {
+                let (i, j) = (c[0] as i64 + i, c[1] as i64 + j);
+                if i < 0 || j < 0 || i >= cells.n[0] as i64 || j >= cells.n[1] as i64 {
+                    continue;
+                }
+                let top = &mut tops[i as usize + cells.n[0] * j as usize];
+                let depth = *top - z - lower;
+                if depth > 0.0 {
+                    deepest = deepest.max(depth);
+                    area += if depth > most { h * h } else { 0.0 };
+                    *top = z + lower;
+                }
+            }
+        }
+        // A wall is finished over its whole height in a thin skin; a slot takes the whole width.
+        let length = m.from.map_or(0.0, |f| f.distance(m.to));
+        if area > (radius + h) * (length + 2.0 * radius) {
+            told.tell(m.line, format!("a cut {deepest:.2} mm deep, more than {most:.2} mm"));
+        }
+    }
+    told.findings
 }
 
 /// Cells within `reach` mm of a point's cell.
@@ -291,8 +384,12 @@ fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     let mut laid = BitGrid::new(frame.dims);
     let mut astray = Told::new(Rule::Astray);
     let within = process.path_mm + h;
+    // The rate is constant: a slower bead is a thicker one.
+    let rate = scene.machine.extruder.as_ref().map_or(0.0, |e| 60.0 * e.volumetric_mm3_s);
     for m in motions.iter().filter(|m| m.gait == Gait::Deposit) {
-        figures.working_mm += m.from.map_or(0.0, |f| f.distance(m.to));
+        let length = m.from.map_or(0.0, |f| f.distance(m.to));
+        figures.working_mm += length;
+        figures.deposited_mm3 += if m.feed > 0.0 { length * rate / m.feed } else { 0.0 };
         let mut away = None;
         for p in samples(m, h / 2.0) {
             let middle = p - d * (process.layer_mm / 2.0);
@@ -307,7 +404,6 @@ fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
             astray.tell(m.line, format!("a bead at ({p:.2}), outside the step's region"));
         }
     }
-    figures.deposited_mm3 = figures.working_mm * process.bead_section_mm2();
     let infill = process.infill.clamp(0.05, 1.0);
     // Half the distance between infill lines, plus what sampling on the grid can lose.
     let reach = process.path_mm / infill / 2.0 + process.layer_mm + 2.0 * h;

@@ -3,7 +3,7 @@ use crate::base::Ctx;
 use crate::toolpath::tests::{MACHINES, WORLDS, World, pocket, tilted, tower};
 use crate::toolpath::{Toolpaths, for_unverified};
 
-fn paths(w: &World) -> Toolpaths {
+pub(super) fn paths(w: &World) -> Toolpaths {
     for_unverified(&w.job, &w.plan, &Ctx::quiet()).unwrap()
 }
 
@@ -11,11 +11,11 @@ fn posted(w: &World) -> String {
     post(&w.job, &w.plan, &paths(w), "sha256:0").unwrap().text().to_string()
 }
 
-fn report(w: &World, text: &str) -> CheckReport {
+pub(super) fn report(w: &World, text: &str) -> CheckReport {
     check(text, &w.job, &w.plan, None, &Ctx::quiet()).unwrap()
 }
 
-fn told(r: &CheckReport) -> String {
+pub(super) fn told(r: &CheckReport) -> String {
     r.findings.iter().map(|f| format!("{f}\n")).collect()
 }
 
@@ -60,7 +60,7 @@ fn caught(w: &World, text: &str, rule: Rule, lines: std::ops::RangeInclusive<usi
 fn a_missing_spindle_start_is_caught_at_the_first_cut() {
     let w = pocket("generic-5axis");
     let text = posted(&w);
-    let at = lines_where(&text, |l| l.ends_with("M3"))[0];
+    let at = lines_where(&text, |l| l.starts_with("M3 S"))[0];
     let first = lines_where(&text, |l| l.starts_with("G1 "))[0];
     caught(&w, &with_line(&text, at, None), Rule::Spindle, first - 1..=first - 1);
 }
@@ -263,9 +263,39 @@ fn header_text_cannot_smuggle_code_into_the_program() {
 }
 
 #[test]
-fn the_tiny_program_is_as_it_was() {
+fn a_program_has_its_skeleton() {
     let w = crate::toolpath::tests::tiny("generic-5axis");
-    insta::assert_snapshot!(posted(&w));
+    let text = posted(&w);
+    let motion = |l: &str| {
+        let l = l.trim_start_matches("G0 ").trim_start_matches("G1 ");
+        l.starts_with(['X', 'Y', 'Z']) || ["M72", "M73", "M74", "M75", "G4 P0.500"].contains(&l)
+    };
+    let skeleton: Vec<&str> =
+        text.lines().filter(|l| !motion(l) && !l.contains(" min at full feed")).collect();
+    let begin = [
+        "(hmplan 0.1.0)",
+        "(plan sha256:0)",
+        "(PLAN NOT VERIFIED)",
+        "(machine generic-5axis, dialect grblhal)",
+        "(X Y Z: tip in machine coordinates with the head at zero, G54 offset zero)",
+        "(table centre 0.000 0.000 0.000, pedestal 90.000 mm)",
+        "(T1 ball-3x13 gauge 80.000 mm)",
+        "(T5 short-nozzle gauge 12.000 mm)",
+    ];
+    let cut = ["T1 M6", "G43 H1", "G0 A0.0000 C0.0000", "M3 S16000", "G53 G0 Z750.000", "M5"];
+    let print = ["T5 M6", "G43 H5", "G0 A0.0000 C0.0000", "M70", "G53 G0 Z750.000", "M71"];
+    let up = "(direction 0.000000 0.000000 1.000000)";
+    let want = [
+        &begin[..],
+        &["G21", "G90", "G94", "G17", "G54"],
+        &["(step 1: subtractive, tool ball-3x13)", up, "G53 G0 Z750.000"],
+        &cut,
+        &["(step 2: additive, tool short-nozzle)", up, "G53 G0 Z750.000"],
+        &print,
+        &["G53 G0 Z750.000", "M30"],
+    ]
+    .concat();
+    assert_eq!(skeleton, want);
 }
 
 #[test]

@@ -45,7 +45,7 @@ pub use kinematics::{AxisValues, Chain, Linear, Mount, Rotary, RotaryAngles};
 pub use orient::Unreachable;
 pub use placement::Placement;
 pub use presets::INV_LENGTH_VOXELS;
-pub use process::{Control, Extruder, ExtruderPort, Process};
+pub use process::{Control, Extruder, ExtruderPort, Pattern, Process, Seam, Writing};
 pub use profile::Machine;
 pub use tool::{InvalidTool, Section, Shape, Tool, ToolKind};
 pub use travel::{NoPosture, Overtravel};

@@ -33,6 +33,36 @@ pub struct Process {
     pub perimeters: u32,
     /// Share of a layer's inside that is filled, 0 to 1.
     pub infill: f64,
+    /// How the inside is filled.
+    pub pattern: Pattern,
+    /// Layers without gaps under every face that looks up or down.
+    pub skins: u32,
+    /// Where closed beads begin.
+    pub seam: Seam,
+}
+
+/// Lines that fill the inside of a layer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Pattern {
+    /// Straight lines that turn by a quarter from layer to layer.
+    #[default]
+    Rectilinear,
+    /// Level lines of the gyroid surface: alike in all directions.
+    Gyroid,
+    /// Parallel to the outline.
+    Concentric,
+}
+
+/// Where a closed bead begins and ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Seam {
+    /// Where the nozzle is nearest: the shortest travels.
+    #[default]
+    Nearest,
+    /// At the point farthest along v of the layer's plane: all seams in one line.
+    Aligned,
 }
 
 impl Default for Process {
@@ -52,6 +82,9 @@ impl Default for Process {
             path_mm: 0.5,
             perimeters: 2,
             infill: 0.3,
+            pattern: Pattern::Rectilinear,
+            skins: 4,
+            seam: Seam::Nearest,
         }
     }
 }
@@ -77,6 +110,9 @@ impl Process {
         }
         if self.perimeters > 1000 {
             return Err(format!("perimeters = {} must be at most 1000", self.perimeters));
+        }
+        if self.skins > 1000 {
+            return Err(format!("skins = {} must be at most 1000", self.skins));
         }
         Ok(())
     }
@@ -110,10 +146,69 @@ pub struct Control {
     pub rapid_mm_min: f64,
     pub max_feed_mm_min: f64,
     pub max_spindle_rpm: f64,
+    /// What the linear axes reach together, mm/s²; times follow from it.
+    #[serde(default = "default_acceleration")]
+    pub acceleration_mm_s2: f64,
+    /// What a rotary axis reaches, degrees/s².
+    #[serde(default = "default_turning")]
+    pub acceleration_deg_s2: f64,
+    /// Time of one tool change, s.
+    #[serde(default = "default_change")]
+    pub tool_change_s: f64,
+    #[serde(default)]
+    pub post: Writing,
 }
 
 fn default_clearance() -> f64 {
     20.0
+}
+
+/// A light machine with ball screws; routers reach less, printers ten times as much.
+fn default_acceleration() -> f64 {
+    500.0
+}
+
+fn default_turning() -> f64 {
+    360.0
+}
+
+fn default_change() -> f64 {
+    15.0
+}
+
+/// How programs are written, where the dialect leaves a choice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Writing {
+    /// Work offset the program runs in, 54 to 59.
+    pub work_offset: u32,
+    /// Every block gets a number; without it the dialect decides.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line_numbers: Option<bool>,
+    /// Digits after the point of X Y Z, 2 to 6; without it the dialect decides.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub linear_digits: Option<u32>,
+    /// Digits after the point of rotary words, 2 to 6; without it the dialect decides.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotary_digits: Option<u32>,
+}
+
+impl Default for Writing {
+    fn default() -> Self {
+        Writing { work_offset: 54, line_numbers: None, linear_digits: None, rotary_digits: None }
+    }
+}
+
+impl Writing {
+    fn validate(&self) -> Result<(), String> {
+        within("work_offset", f64::from(self.work_offset), 54.0, 59.0)?;
+        for (key, digits) in
+            [("linear_digits", self.linear_digits), ("rotary_digits", self.rotary_digits)]
+        {
+            within(key, f64::from(digits.unwrap_or(3)), 2.0, 6.0)?;
+        }
+        Ok(())
+    }
 }
 
 impl Control {
@@ -130,6 +225,10 @@ impl Control {
         within("clearance_mm", self.clearance_mm, 0.0, 10_000.0)?;
         within("rapid_mm_min", self.rapid_mm_min, 1e-3, 1e6)?;
         within("max_feed_mm_min", self.max_feed_mm_min, 1e-3, 1e6)?;
+        within("acceleration_mm_s2", self.acceleration_mm_s2, 1.0, 1e6)?;
+        within("acceleration_deg_s2", self.acceleration_deg_s2, 1.0, 1e6)?;
+        within("tool_change_s", self.tool_change_s, 0.0, 3600.0)?;
+        self.post.validate()?;
         within("max_spindle_rpm", self.max_spindle_rpm, 0.0, 1e6)
     }
 
@@ -178,6 +277,8 @@ pub struct Extruder {
     /// What leaves the nozzle while extrusion is on, mm³/s.
     pub volumetric_mm3_s: f64,
     pub filament_mm: f64,
+    /// Length of filament drawn back where the control has an E axis, mm.
+    pub retract_mm: f64,
     /// Wait after extrusion is switched on until material flows, s.
     pub prime_s: f64,
 }
@@ -196,6 +297,7 @@ impl Default for Extruder {
             dialect: None,
             volumetric_mm3_s: 2.0,
             filament_mm: 1.75,
+            retract_mm: 1.5,
             prime_s: 0.5,
         }
     }
@@ -231,7 +333,13 @@ impl Extruder {
         }
         within("volumetric_mm3_s", self.volumetric_mm3_s, 1e-6, 1e4)?;
         within("filament_mm", self.filament_mm, 0.1, 10.0)?;
+        within("retract_mm", self.retract_mm, 0.0, 100.0)?;
         within("prime_s", self.prime_s, 0.0, 600.0)
+    }
+
+    /// Filament that one mm of the tool's bead takes, mm.
+    pub fn filament_per_mm(&self, process: &Process) -> f64 {
+        process.bead_section_mm2() / (std::f64::consts::PI * self.filament_mm.powi(2) / 4.0)
     }
 
     /// Feed at which the constant rate lays the tool's bead, mm/min.
@@ -255,11 +363,17 @@ pub(super) fn describe(kind: ToolKind, p: &Process) -> String {
             p.scallop_mm
         ),
         ToolKind::Additive => format!(
-            "layer {} mm, path {} mm, {} perimeters, infill {:.0} %",
+            "layer {} mm, path {} mm, {} perimeters, infill {:.0} % {}, {} layers of skin",
             p.layer_mm,
             p.path_mm,
             p.perimeters,
-            100.0 * p.infill
+            100.0 * p.infill,
+            match p.pattern {
+                Pattern::Rectilinear => "rectilinear",
+                Pattern::Gyroid => "gyroid",
+                Pattern::Concentric => "concentric",
+            },
+            p.skins
         ),
     }
 }

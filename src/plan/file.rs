@@ -122,6 +122,15 @@ pub struct ProgramRecord {
     pub path: String,
     pub sha256: String,
     pub lines: usize,
+    /// Time on the machine, tool changes and indexing included, s.
+    #[serde(default)]
+    pub time_s: f64,
+    /// What the extruder lays, mm³: beads, not the regions they fill.
+    #[serde(default)]
+    pub deposited_mm3: f64,
+    /// What the edges sweep of the regions to remove, mm³.
+    #[serde(default)]
+    pub removed_mm3: f64,
 }
 
 /// The figures of a plan. A figure that another planner defines is null.

@@ -2,8 +2,10 @@
 //!
 //! Method: the distance of every cell to the set's outside (chamfer, in cells) is cut into bands
 //! one cell thick, a stepover apart, the first along the rim; each band is traced into chains of
-//! neighbouring cells. Guarantees: every cell of the set is within a stepover plus one cell of a
-//! chain; chains never leave the set. Not guaranteed: a sense of cutting (climb or conventional).
+//! neighbouring cells, turned so that what lies outside the set is on the right: with a spindle that
+//! turns clockwise, that is climb milling. Guarantees: every cell of the set is within a stepover
+//! plus one cell of a chain; chains never leave the set. Not guaranteed: the sense of chains that
+//! have the outside on both sides.
 
 use super::image::{Cell, Lattice};
 
@@ -46,10 +48,28 @@ pub(super) fn chains(lattice: &Lattice, set: &[bool], stepover: f64) -> Vec<Vec<
     let mut out = Vec::new();
     for k in 0..bands.len() {
         if bands[k] != 0 {
-            out.push(trace(lattice, &mut bands, k));
+            let mut chain = trace(lattice, &mut bands, k);
+            if outside_is_left(lattice, &d, &chain) {
+                chain.reverse();
+            }
+            out.push(chain);
         }
     }
     out
+}
+
+/// Whether most of a chain has the nearer outside on its left: the distance grows to the right.
+fn outside_is_left(lattice: &Lattice, d: &[f32], chain: &[Cell]) -> bool {
+    let [nx, ny] = lattice.n;
+    let at = |i: usize, j: usize| d[i.min(nx - 1) + nx * j.min(ny - 1)];
+    let turn = |w: &[Cell]| {
+        let way = [w[1][0] as f32 - w[0][0] as f32, w[1][1] as f32 - w[0][1] as f32];
+        let [i, j] = w[0];
+        let grow =
+            [at(i + 1, j) - at(i.saturating_sub(1), j), at(i, j + 1) - at(i, j.saturating_sub(1))];
+        way[0] * grow[1] - way[1] * grow[0]
+    };
+    chain.windows(2).map(turn).fold(0.0, |a, b| a + b) < 0.0
 }
 
 /// Straight neighbours first, so that thick spots do not split a chain.
@@ -107,24 +127,33 @@ fn walk(lattice: &Lattice, bands: &mut [u32], from: Cell, band: u32) -> Vec<Cell
     }
 }
 
-/// Orders chains by the nearest next end, starting from `at`; turns those entered at their tail.
+/// Orders chains by the nearest next beginning, starting from `at`; rings begin where they are
+/// nearest. The sense of cutting stays.
 pub(super) fn nearest_order(mut chains: Vec<Vec<Cell>>, mut at: Option<Cell>) -> Vec<Vec<Cell>> {
     // Beyond this the quadratic search costs more than the travel it saves; scan order is kept.
-    const MOST: usize = 3000;
+    const MOST: usize = 1000;
     if chains.len() > MOST {
         return chains;
     }
     let gap = |a: Cell, b: Cell| a[0].abs_diff(b[0]).pow(2) + a[1].abs_diff(b[1]).pow(2);
+    let ring = |c: &[Cell]| c.len() > 3 && c[0] == c[c.len() - 1];
+    let entry = |c: &[Cell], here: Cell| {
+        let cells = if ring(c) { &c[..c.len() - 1] } else { &c[..1] };
+        // Sixteen looks along a ring are near enough.
+        let looks = (0..cells.len()).step_by(cells.len() / 16 + 1);
+        let nearest = looks.min_by_key(|i| (gap(here, cells[*i]), *i)).unwrap_or(0);
+        (gap(here, cells[nearest]), nearest)
+    };
     let mut out = Vec::with_capacity(chains.len());
     while !chains.is_empty() {
         let here = at.unwrap_or(chains[0][0]);
-        let ends = |c: &Vec<Cell>| (gap(here, c[0]), gap(here, c[c.len() - 1]));
-        let cost = |c: &Vec<Cell>| ends(c).0.min(ends(c).1);
-        let best = (0..chains.len()).min_by_key(|i| (cost(&chains[*i]), *i)).unwrap_or(0);
+        let best = (0..chains.len()).min_by_key(|i| (entry(&chains[*i], here).0, *i)).unwrap_or(0);
         let mut chain = chains.remove(best);
-        let (head, tail) = ends(&chain);
-        if tail < head {
-            chain.reverse();
+        if ring(&chain) {
+            let start = entry(&chain, here).1;
+            chain.pop();
+            chain.rotate_left(start);
+            chain.push(chain[0]);
         }
         at = chain.last().copied();
         out.push(chain);
@@ -145,6 +174,27 @@ mod tests {
             Lattice::over(&frame, Direction::Z.image_plane(), 1.0, DVec2::ZERO, DVec2::ZERO);
         l.n = n;
         l
+    }
+
+    #[test]
+    fn walls_are_on_the_right() {
+        let l = lattice([30, 30]);
+        let within = |c: Cell, a: usize, b: usize| c.iter().all(|x| (a..b).contains(x));
+        // A frame: its outer rim is walked anticlockwise, the rim of its island clockwise.
+        let set: Vec<bool> = (0..l.cells())
+            .map(|k| within(l.cell_of_index(k), 2, 28) && !within(l.cell_of_index(k), 11, 19))
+            .collect();
+        let area = |c: &[Cell]| {
+            let cross =
+                |w: &[Cell]| w[0][0] as f64 * w[1][1] as f64 - w[1][0] as f64 * w[0][1] as f64;
+            c.windows(2).map(cross).sum::<f64>()
+        };
+        let found = nearest_order(chains(&l, &set, 3.0), Some([0, 0]));
+        let rings: Vec<f64> = found.iter().filter(|c| c.len() > 20).map(|c| area(c)).collect();
+        assert!(rings.iter().any(|a| *a > 1000.0), "{rings:?}");
+        assert!(rings.iter().any(|a| *a < -100.0), "{rings:?}");
+        let rim = |a: f64| a.abs() > 1200.0;
+        assert!(rings.iter().filter(|a| rim(**a)).all(|a| *a > 0.0), "{rings:?}");
     }
 
     proptest! {

@@ -8,24 +8,32 @@
 //!
 //! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells);
 //! no pass is deeper than a step-down under what was cut beside it; rapids only at the safe height
-//! or straight up. Not guaranteed: ramped entries, a constant engagement, climb cutting; surfaces are
-//! the voxels', not yet the meshes'.
+//! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`), but for crevices
+//! that only the voxels leave room for. Not guaranteed: ramped entries, a constant engagement.
 
 use super::contour::{chains, nearest_order};
+use super::exact::{Exact, steepness};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
 use crate::base::{DVec2, DVec3};
 use crate::machine::Tool;
-use crate::plan::Step;
+use crate::plan::{Job, Step};
 use crate::voxel::{BitGrid, Frame};
 
 /// Heights closer than this are the same, mm: far above the rounding of f32 heights, far below
 /// what a machine resolves.
 const SAME_HEIGHT_MM: f64 = 1e-3;
 
+/// Cosine of the slope at which passes across and levels along the axis are equally far apart.
+const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// Share of the region that must be swept: a little more than the program's check asks for.
+const LEAST_SHARE: f64 = 0.985;
+
 /// What a step works on.
 pub(super) struct Work<'a> {
+    pub job: &'a Job,
     pub frame: &'a Frame,
     pub step: &'a Step,
     pub tool: &'a Tool,
@@ -104,7 +112,22 @@ impl Free {
     pub fn heights(&self, tool: &Tool, side: f64, down: f64) -> Image {
         let s = self.window.s;
         let profile = Profile::new(|rho| tool.lower_surface(rho), tool.max_radius(), s, side, down);
+        self.dilated(&profile)
+    }
+
+    /// The obstacles dilated by any profile.
+    pub fn dilated(&self, profile: &Profile) -> Image {
         profile.dilate(&self.obstacles, self.window, self.highest)
+    }
+
+    /// An image as large as the obstacles', without any.
+    pub fn empty(&self) -> Image {
+        Image::empty(self.obstacles.lattice)
+    }
+
+    /// Height of the highest obstacle, mm.
+    pub fn highest(&self) -> f64 {
+        self.highest
     }
 }
 
@@ -121,6 +144,8 @@ struct Stage<'a> {
     fine: Image,
     /// H without margin.
     exact: Image,
+    /// Heights over the meshes, where the job has them.
+    meshes: Option<Exact>,
     edge: Profile,
     /// Lowest tip height cut so far, per cell; +∞ where nothing was.
     done: Vec<f32>,
@@ -139,12 +164,15 @@ impl<'a> Stage<'a> {
             Profile::new(|rho| work.tool.active_lower_surface(rho), radius, lattice.s, 0.0, 0.0);
         let (mut tops, mut bottoms) = (Image::empty(lattice), Image::empty(lattice));
         let plane = lattice.plane;
+        let meshes = Exact::of(work, &free);
+        // A voxel's face lies up to half a pitch from the surface that the meshes tell exactly.
+        let under = if meshes.is_some() { h } else { h / 2.0 };
         for v in work.step.region.iter_ones() {
             let p = work.frame.center(v);
             tops.raise(p);
             if let Some(c) = lattice.cell(plane.across(p)) {
                 let i = lattice.index(c);
-                bottoms.data[i] = bottoms.data[i].max(-(plane.height(p) - h / 2.0) as f32);
+                bottoms.data[i] = bottoms.data[i].max(-(plane.height(p) - under) as f32);
             }
         }
         let disc = Profile::new(
@@ -155,8 +183,11 @@ impl<'a> Stage<'a> {
             0.0,
         );
         let half = h / 2.0 + rounding(work, lattice.s);
-        let fine = free.heights(work.tool, half, h / 2.0);
-        let exact = free.heights(work.tool, 0.0, 0.0);
+        let heights = |side: f64, down: f64| match &meshes {
+            Some(m) => m.heights(work, &free, side, down, 0.0),
+            None => free.heights(work.tool, side, down),
+        };
+        let (fine, exact) = (heights(half, h / 2.0), heights(0.0, 0.0));
         let highest = |i: &Image| i.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let safe = free.state_top.max(f64::from(highest(&fine))) + CLEARANCE_MM;
         Stage {
@@ -164,6 +195,7 @@ impl<'a> Stage<'a> {
             floor: disc.dilate(&bottoms, lattice, f64::NEG_INFINITY).negated(),
             fine,
             exact,
+            meshes,
             edge,
             done: vec![f32::INFINITY; lattice.cells()],
             work,
@@ -181,6 +213,15 @@ impl<'a> Stage<'a> {
         let h = self.work.frame.pitch;
         let half = h / 2.0 + rounding(self.work, self.lattice.s);
         let coarse = self.free.heights(self.work.tool, half + stock, h / 2.0 + stock);
+        let coarse = match &self.meshes {
+            None => coarse,
+            // The voxels' margin is the stock's to the side; over the meshes it is exact below.
+            Some(m) => {
+                let mut z = m.heights(self.work, &self.free, half + stock, h / 2.0 + stock, stock);
+                z.data.iter_mut().zip(&coarse.data).for_each(|(z, c)| *z = z.max(*c));
+                z
+            }
+        };
         let bottom = self.bottoms(&coarse);
         let near = vec![f32::INFINITY; bottom.len()];
         let ceiling = self.top.data.clone();
@@ -244,12 +285,26 @@ impl<'a> Stage<'a> {
             .collect();
         let ceiling = self.top.data.clone();
         self.levels(&deep, &ceiling, &near);
+        // Steep faces level by level, the others by passes as far apart: up to 45° either leaves
+        // ridges no higher than the scallop.
+        let ridge = self.process.finishing_stepover(self.work.tool) * DIAGONAL;
+        let steep: Vec<f32> = steepness(&self.lattice, &bottom)
+            .iter()
+            .enumerate()
+            .map(|(i, s)| if due[i] && *s > 1.0 { bottom[i] } else { f32::INFINITY })
+            .collect();
         let near = self.near();
-        let stepover = self.process.finishing_stepover(self.work.tool) / self.lattice.s;
+        let rough = self.process.step_down;
+        self.process.step_down = ridge.min(rough);
+        self.levels(&steep, &ceiling, &near);
+        self.process.step_down = rough;
+        let near = self.near();
+        let flat: Vec<bool> = (0..due.len()).map(|i| due[i] && steep[i].is_infinite()).collect();
+        let stepover = ridge / self.lattice.s;
         let z = |i: usize| bottom[i];
         let enter = |i: usize| ceiling[i].min(near[i].max(bottom[i]));
-        self.passes(&due, stepover, &z, &enter, self.process.feed);
-        for i in (0..bottom.len()).filter(|i| due[*i]) {
+        self.passes(&flat, stepover, &z, &enter, self.process.feed);
+        for i in (0..bottom.len()).filter(|i| flat[*i]) {
             self.done[i] = self.done[i].min(bottom[i]);
         }
     }
@@ -268,7 +323,22 @@ impl<'a> Stage<'a> {
     /// Cuts what region is left uncovered from the tips that reach it without margin; returns the
     /// fraction of the region that is covered in the end.
     fn rest(&mut self) -> f64 {
-        let (uncovered, share) = self.uncovered();
+        let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
+        let exact = std::mem::take(&mut self.exact.data);
+        let share = self.rest_over(&exact, half);
+        if self.meshes.is_none() || share == 1.0 {
+            return share;
+        }
+        // What the meshes leave no room for, the voxels may, which is what the plan was made on:
+        // lumps deeper than the tolerance go, at the price of a pitch's gouge in the crevice.
+        let plain = self.free.heights(self.work.tool, 0.0, 0.0);
+        let deep = self.work.job.rules.tolerance_mm / 2.0;
+        self.rest_over(&plain.data, if share < LEAST_SHARE { half } else { deep.max(half) })
+    }
+
+    /// Cuts the region farther than `slack` under what was swept, with lowest tips `free`.
+    fn rest_over(&mut self, free: &[f32], slack: f64) -> f64 {
+        let (uncovered, share) = self.uncovered(slack);
         if uncovered.is_empty() {
             return share;
         }
@@ -282,22 +352,22 @@ impl<'a> Stage<'a> {
                 let j = cell[1].checked_add_signed(*dj as isize)?;
                 let inside = i < self.lattice.n[0] && j < self.lattice.n[1];
                 let at = self.lattice.index([i, j]);
-                (inside && self.exact.data[at] <= height - k).then_some((at, height - k))
+                (inside && free[at] <= height - k).then_some((at, height - k))
             });
             if let Some((at, z)) = reached {
-                let z = self.exact.data[at].max(z - 0.25 * h);
+                let z = free[at].max(z - 0.25 * h);
                 need[at] = need[at].min(z);
             }
         }
         let near = self.near();
         let ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
         self.levels(&need, &ceiling, &near);
-        self.uncovered().1
+        self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM).1
     }
 
-    /// Region voxels farther than half a pitch under what the edge swept (cell and height), and
-    /// the fraction of the others.
-    fn uncovered(&self) -> (Vec<(Cell, f32)>, f64) {
+    /// Region voxels farther than `slack` under what the edge swept (cell and height), and the
+    /// fraction of the others.
+    fn uncovered(&self, slack: f64) -> (Vec<(Cell, f32)>, f64) {
         let l = self.lattice;
         let mut swept = Image::empty(l);
         let cut = |w: &&[Move]| w[1].kind == MoveKind::Cut;
@@ -312,7 +382,7 @@ impl<'a> Stage<'a> {
             }
         }
         let reached = self.edge.dilate(&swept, l, f64::NEG_INFINITY);
-        let half = (self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM) as f32;
+        let half = slack as f32;
         let (mut left, mut all) = (Vec::new(), 0usize);
         for v in self.work.step.region.iter_ones() {
             let p = self.work.frame.center(v);

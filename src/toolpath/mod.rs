@@ -7,20 +7,29 @@
 //! Guarantees: a path never goes below the tip heights free of the output state and the fixed
 //! obstacles; beads lie inside the step's region; rapids run only at the safe height or straight up;
 //! the same plan gives the same paths at any thread count. Not guaranteed: machine limits, which
-//! the post checks; surfaces finer than the voxels; times, which ignore acceleration.
+//! the post checks; surfaces finer than the voxels.
 
 mod contour;
+mod cross;
+mod drop;
+mod exact;
 mod image;
+mod infill;
 mod mill;
 mod moves;
+mod piece;
+mod polygons;
 mod print;
 mod process;
 mod slice;
+mod timing;
 #[cfg(test)]
 pub(crate) mod tests;
 
+pub use drop::{DropCutter, End};
 pub use moves::{Figures, Move, MoveKind, Toolpath};
-pub use print::INSET_SLACK;
+pub use print::{CHORD_MM, INSET_SLACK};
+pub use timing::{Leg, motion_s, rest_to_rest};
 
 use crate::base::{Cancelled, Ctx, DVec3};
 use crate::machine::{BaseKind, Holding, Tool};
@@ -28,7 +37,7 @@ use crate::plan::{Job, Plan, StepKind};
 use crate::verify::Verified;
 use crate::voxel::BitGrid;
 use mill::Work;
-use moves::{merge_collinear, time_s};
+use moves::{legs, merge_collinear};
 use process::{Milling, Printing};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -178,6 +187,7 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
     let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
     let tool: &Tool = job.tool(&step.tool).ok_or_else(no_tool)?;
     let work = Work {
+        job,
         frame: &job.frame,
         step,
         tool,
@@ -185,10 +195,10 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
         after: &replay.states[i + 1],
         fixed: &replay.fixed[i],
     };
-    let (moves, safe_height, mut figures, bead_mm2) = match step.kind {
+    let (moves, safe_height, mut figures, bead_mm2, nominal) = match step.kind {
         StepKind::Subtractive => {
             let m = mill::mill(&work, &Milling::of(&job.machine, tool));
-            (m.moves, m.safe_height, m.figures, 0.0)
+            (m.moves, m.safe_height, m.figures, 0.0, 0.0)
         }
         StepKind::Additive => {
             let machine = job.machine.name.clone();
@@ -196,12 +206,14 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
             let extruder = job.machine.extruder.as_ref().ok_or_else(no_extruder)?;
             let process = Printing::of(&job.machine, extruder, tool);
             let p = print::print(&work, &process);
-            (p.moves, p.safe_height, p.figures, tool.process.bead_section_mm2())
+            let section = tool.process.bead_section_mm2();
+            (p.moves, p.safe_height, p.figures, section, process.feed)
         }
     };
     let moves = merge_collinear(moves);
     figures.region_mm3 = step.region.count() as f64 * job.frame.voxel_volume();
-    figures.time_s = time_s(&moves, job.machine.control.rapid_mm_min);
+    figures.time_s =
+        motion_s(&legs(&moves, &job.machine.control), job.machine.control.acceleration_mm_s2);
     let mut path = Toolpath {
         step: i,
         kind: step.kind,
@@ -218,6 +230,6 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
         StepKind::Additive => MoveKind::Deposit,
     };
     path.figures.working_mm = path.length(working);
-    path.figures.material_mm3 = path.length(MoveKind::Deposit) * bead_mm2;
+    path.figures.material_mm3 = path.laid_mm3(nominal);
     Ok(path)
 }

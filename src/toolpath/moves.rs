@@ -1,4 +1,6 @@
+use super::timing::Leg;
 use crate::base::{DVec3, Direction};
+use crate::machine::Control;
 use crate::plan::StepKind;
 
 /// What a move does to the workpiece.
@@ -39,7 +41,7 @@ pub struct Figures {
     pub coverage: f64,
     /// Part of the region too thin for a bead, which gets none, mm³; 0 for subtractive steps.
     pub thin_mm3: f64,
-    /// Lengths over feeds, s. Acceleration is ignored, so the machine takes longer.
+    /// Time the moves take, acceleration included, s.
     pub time_s: f64,
 }
 
@@ -55,13 +57,23 @@ pub struct Toolpath {
     pub holding: usize,
     /// Height along the direction at or above which the tip may go anywhere, mm.
     pub safe_height: f64,
-    /// Section of the bead, mm²; 0 for subtractive steps.
+    /// Section of the bead at the nominal feed, mm²; 0 for subtractive steps.
     pub bead_mm2: f64,
     pub moves: Vec<Move>,
     pub figures: Figures,
 }
 
 impl Toolpath {
+    /// Volume of the beads, mm³: the extruder's rate is constant, so a bead at another feed than
+    /// the nominal one has another section.
+    pub(super) fn laid_mm3(&self, nominal: f64) -> f64 {
+        let beads = self.moves.windows(2).filter(|w| w[1].kind == MoveKind::Deposit);
+        let volume = |w: &[Move]| {
+            w[0].tip.distance(w[1].tip) * self.bead_mm2 * nominal / w[1].feed.max(1e-9)
+        };
+        beads.map(volume).fold(0.0, |a, b| a + b)
+    }
+
     /// Length of all moves of a kind, mm.
     pub fn length(&self, kind: MoveKind) -> f64 {
         self.moves
@@ -71,13 +83,14 @@ impl Toolpath {
     }
 }
 
-/// Seconds the moves take when every axis moves at its feed at once; rapids at `rapid` mm/min.
-pub(super) fn time_s(moves: &[Move], rapid: f64) -> f64 {
-    let minutes = |w: &[Move]| {
-        let feed = if w[1].feed > 0.0 { w[1].feed } else { rapid };
-        w[0].tip.distance(w[1].tip) / feed
+/// The moves as legs of motion; the machine stands still where the bead begins or ends.
+pub(super) fn legs(moves: &[Move], control: &Control) -> Vec<Leg> {
+    let leg = |w: &[Move]| {
+        let feed = if w[1].feed > 0.0 { w[1].feed } else { control.rapid_mm_min };
+        let stops = (w[0].kind == MoveKind::Deposit) != (w[1].kind == MoveKind::Deposit);
+        Leg { by: w[1].tip - w[0].tip, speed: feed / 60.0, stops }
     };
-    moves.windows(2).map(minutes).sum::<f64>() * 60.0
+    moves.windows(2).map(leg).collect()
 }
 
 /// How far a dropped point may lie from the straight move that replaces it, mm: a tenth of the
@@ -126,7 +139,6 @@ mod tests {
             |x: f64, y: f64| Move { kind: MoveKind::Cut, tip: DVec3::new(x, y, 0.0), feed: 100.0 };
         let merged = merge_collinear(vec![m(0., 0.), m(1., 0.), m(2., 0.), m(2., 0.), m(1., 0.)]);
         assert_eq!(merged, [m(0., 0.), m(2., 0.), m(1., 0.)]);
-        assert_eq!(time_s(&merged, 1.0), 3.0 / 100.0 * 60.0);
         // A shallow arc must not be swallowed point by point.
         let arc: Vec<Move> = (0..200)
             .map(|i| m((i as f64 * 0.01).cos() * 50., (i as f64 * 0.01).sin() * 50.))

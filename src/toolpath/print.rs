@@ -1,36 +1,39 @@
 //! Beads of one additive step.
 //!
-//! Method: layers across the direction from low to high; in each the region's section at mid height is
-//! outlined, perimeters run parallel to the outline, straight infill turns by a quarter from layer to
-//! layer. The tip rides on the top of its layer. Travels draw the filament back and rise where the nozzle
-//! would meet the state before the step.
+//! Method: layers across the direction from the block's base to its top, the last one as high as
+//! what is left; in each the block's exact outline at mid height (see `piece`) is inset for the
+//! perimeters; where the layers above or below leave it bare it is filled whole, elsewhere by the
+//! pattern. The tip rides on the top of its layer. Travels draw the filament back and rise where
+//! the nozzle would meet the state before the step.
 //!
-//! Guarantees: every bead centre line lies inside the section, half a bead from its outline (less
-//! [`INSET_SLACK`]). Not guaranteed: what is thinner than a bead gets none, and its volume is
-//! reported; closed top and bottom skins are not added to the infill.
+//! Guarantees: every bead's centre line lies inside the section, half a bead from its outline (less
+//! [`INSET_SLACK`]); outlines deviate from the section by at most [`CHORD_MM`]. Not guaranteed:
+//! what is thinner than a bead gets none, and its volume is reported.
 
 use super::image::{Image, Lattice};
+use super::infill::{Fill, Line, fill, hatch};
 use super::mill::{Free, Work};
 use super::moves::{Figures, Move, MoveKind};
+use super::piece::{Piece, outlines};
+use super::polygons::{difference, intersection, of_paths, offset, simple, union};
 use super::process::{CLEARANCE_MM, Printing};
-use super::slice::{Outline, area, section};
+use super::slice::area;
 use crate::base::{DVec2, DVec3};
-use clipper2_rust::{EndType, JoinType, PathsD, PointD, inflate_paths_d, simplify_paths};
+use crate::machine::Seam;
+use clipper2_rust::PathsD;
 use rayon::prelude::*;
 
 /// By how much of its width a bead may stand out of its outline. Zero would lose every wall that is
 /// exactly one bead wide to rounding; more would print past the region.
 pub const INSET_SLACK: f64 = 0.01;
 
-/// Outlines are simplified by this fraction of the pitch, which takes the ripple of the voxels out
-/// of them. Above a quarter it would move walls visibly; at zero programs are three times as long.
-const SIMPLIFY_PITCH: f64 = 0.1;
+/// How far a simplified outline may leave the section, mm. Programs are then a third as long as with
+/// every triangle's corner; at 0.02 the bound on the whole path would be used up.
+pub const CHORD_MM: f64 = 0.005;
 
-/// Digits after the point of the polygon offsets' fixed-point coordinates, mm.
-const CLIPPER_DIGITS: i32 = 4;
-
-/// Corners sharper than this ratio of miter to offset are cut.
-const MITER: f64 = 2.0;
+/// Least height of the last layer, in layers; the most is one more. Lower ones would ask for more
+/// than twice the feed, higher ones would not bond.
+const LAST_LAYER: f64 = 0.5;
 
 pub(super) struct Printed {
     pub moves: Vec<Move>,
@@ -38,15 +41,41 @@ pub(super) struct Printed {
     pub figures: Figures,
 }
 
-/// A bead's centre line in (u, v); closed lines repeat their first point.
-type Line = Vec<DVec2>;
-
 struct Layer {
     /// Height of the tip.
     z: f64,
+    feed: f64,
     loops: Vec<Line>,
     fill: Vec<Line>,
-    thin_mm2: f64,
+    thin_mm3: f64,
+}
+
+/// Height of the middle of a layer, its tip's height and its thickness.
+#[derive(Clone, Copy)]
+struct Slab {
+    tip: f64,
+    height: f64,
+}
+
+impl Slab {
+    fn middle(&self) -> f64 {
+        self.tip - self.height / 2.0
+    }
+}
+
+/// Layers from `low` to `high`.
+fn slabs(low: f64, high: f64, process: &Printing) -> Vec<Slab> {
+    let layer = process.layer;
+    let whole = high - low;
+    // The feed of a low last layer must not pass what the machine can.
+    let least = LAST_LAYER.max(process.feed / process.travel_feed);
+    let count = (whole / layer + 1.0 - least + 1e-6).floor().max(1.0);
+    let slab = |k: f64| {
+        let tip = if k + 1.0 < count { low + (k + 1.0) * layer } else { high };
+        let height = if k + 1.0 < count { layer } else { high - low - k * layer };
+        Slab { tip, height: height.max(least * layer) }
+    };
+    (0..count as usize).map(|k| slab(k as f64)).collect()
 }
 
 pub(super) fn print(work: &Work, process: &Printing) -> Printed {
@@ -60,19 +89,22 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
         high = high.max(plane.height(p) + h / 2.0);
         (lo, hi) = (lo.min(plane.across(p)), hi.max(plane.across(p)));
     }
-    let margin = DVec2::splat(2.0 * h);
+    let margin = DVec2::splat(3.0 * h);
     let lattice = Lattice::over(work.frame, plane, h, lo - margin, hi + margin);
-    let count = ((high - low) / process.layer - 1e-6).ceil().max(0.0) as usize;
-    let layers: Vec<Layer> = (0..count)
+    let piece = Piece::new(work, lattice, &plane);
+    let high = piece.top(high, lo, hi).unwrap_or(high);
+    let slabs = slabs(low, high, process);
+    let sections: Vec<PathsD> =
+        slabs.par_iter().map(|s| simple(&piece.outline(s.middle()), CHORD_MM)).collect();
+    let inner: Vec<PathsD> = sections.par_iter().map(|s| inside(s, process)).collect();
+    let layers: Vec<Layer> = (0..slabs.len())
         .into_par_iter()
         .map(|k| {
-            let bottom = low + k as f64 * process.layer;
-            let outline =
-                section(&work.step.region, work.frame, &lattice, bottom + process.layer / 2.0);
-            beads(&outline, process, h, bottom + process.layer, k)
+            let bare = bare(&inner, k, process);
+            beads(&sections[k], &inner[k], &bare, process, slabs[k], k)
         })
         .collect();
-    let thin_mm3 = layers.iter().map(|l| l.thin_mm2).sum::<f64>() * process.layer;
+    let thin_mm3 = layers.iter().map(|l| l.thin_mm3).sum::<f64>();
     let free = Free::around(work, work.before, h);
     let heights = free.heights(work.tool, 0.0, 0.0);
     let blocked = heights.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -80,6 +112,7 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     let safe = free.state_top.max(f64::from(blocked)).max(top) + CLEARANCE_MM;
     let mut head = Head { heights, safe, process: *process, at: None, moves: Vec::new() };
     for layer in layers {
+        head.process.feed = layer.feed;
         head.lay(layer.loops, layer.z);
         head.lay(layer.fill, layer.z);
     }
@@ -88,81 +121,69 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     Printed { moves: head.moves, safe_height: safe, figures }
 }
 
-fn to_paths(outlines: &[Outline]) -> PathsD {
-    outlines.iter().map(|o| o.iter().map(|p| PointD { x: p.x, y: p.y }).collect()).collect()
+/// What the perimeters leave to fill.
+fn inside(section: &PathsD, process: &Printing) -> PathsD {
+    let w = process.width;
+    let rims = process.perimeters.max(1) as f64;
+    simple(&offset(section, -w * (rims - INSET_SLACK)), CHORD_MM)
 }
 
-fn of_paths(paths: &PathsD) -> Vec<Outline> {
-    paths.iter().map(|p| p.iter().map(|q| DVec2::new(q.x, q.y)).collect()).collect()
+/// The part of a layer's inside that some of the next layers above or below do not cover.
+fn bare(inner: &[PathsD], k: usize, process: &Printing) -> PathsD {
+    let n = process.skins;
+    if n == 0 || process.infill >= 1.0 || inner[k].is_empty() {
+        return PathsD::new();
+    }
+    let covered = |layers: &mut dyn Iterator<Item = Option<&PathsD>>| {
+        let mut all = inner[k].clone();
+        for layer in layers {
+            all = layer.map_or_else(PathsD::new, |l| intersection(&all, l));
+        }
+        all
+    };
+    let above = covered(&mut (1..=n).map(|i| inner.get(k + i)));
+    let below = covered(&mut (1..=n).map(|i| k.checked_sub(i).map(|j| &inner[j])));
+    let bare = union(&difference(&inner[k], &above), &difference(&inner[k], &below));
+    // Slivers narrower than a bead are the infill's; what is left overlaps it by half a bead.
+    let w = process.width;
+    intersection(&offset(&offset(&bare, -w / 2.0), w), &inner[k])
 }
 
-fn offset(paths: &PathsD, by: f64) -> PathsD {
-    let join = JoinType::Miter;
-    inflate_paths_d(paths, by, join, EndType::Polygon, MITER, CLIPPER_DIGITS, 0.0)
-}
-
-fn beads(outline: &[Outline], process: &Printing, h: f64, z: f64, layer: usize) -> Layer {
+fn beads(
+    section: &PathsD,
+    inner: &PathsD,
+    bare: &PathsD,
+    process: &Printing,
+    slab: Slab,
+    layer: usize,
+) -> Layer {
     let w = process.width;
     let first = w * (0.5 - INSET_SLACK);
-    let section = to_paths(outline);
-    let eps = SIMPLIFY_PITCH * h;
-    let inset = |by: f64| simplify_paths(&offset(&section, -by), eps, true);
     let mut loops: Vec<Line> = Vec::new();
-    let rims = process.perimeters.max(1);
-    for k in 0..rims {
-        for mut line in of_paths(&inset(first + k as f64 * w)) {
-            if line.len() >= 2 {
-                line.push(line[0]);
-                loops.push(line);
-            }
+    for k in 0..process.perimeters.max(1) {
+        let inset = simple(&offset(section, -(first + k as f64 * w)), CHORD_MM);
+        for mut line in of_paths(&inset).into_iter().filter(|l| l.len() >= 2) {
+            line.push(line[0]);
+            loops.push(line);
         }
     }
-    let inner = of_paths(&inset(first + (rims - 1) as f64 * w + w / 2.0));
-    let fill = if process.infill > 0.0 {
-        hatch(&inner, w / process.infill.min(1.0), layer % 2 == 1, w / 2.0)
-    } else {
-        Vec::new()
+    let how = Fill {
+        pattern: process.pattern,
+        width: w,
+        density: process.infill,
+        layer,
+        z: slab.middle(),
     };
-    let opened = offset(&offset(&section, -first), first);
-    let thin_mm2 = (area(outline) - area(&of_paths(&opened))).max(0.0);
-    Layer { z, loops, fill, thin_mm2 }
-}
-
-/// Parallel lines `spacing` apart inside the outlines (even–odd), along v when `turned`, else
-/// along u; pieces shorter than `shortest` are left out.
-fn hatch(outlines: &[Outline], spacing: f64, turned: bool, shortest: f64) -> Vec<Line> {
-    let swap = |p: DVec2| if turned { DVec2::new(p.y, p.x) } else { p };
-    let ys = outlines.iter().flatten().map(|p| swap(*p).y);
-    let (low, high) = ys.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), y| (a.min(y), b.max(y)));
-    if low >= high {
-        return Vec::new();
+    // Lines end on the edge of the innermost perimeter, into which their round ends bond.
+    let mut lines = fill(&difference(inner, bare), &how);
+    if !bare.is_empty() {
+        lines.extend(hatch(&of_paths(bare), w, !layer.is_multiple_of(2), w / 2.0));
     }
-    // Multiples of the spacing from the plane's origin: lines of every second layer coincide.
-    let (first, last) = ((low / spacing).ceil() as i64, (high / spacing).floor() as i64);
-    let mut crossings: Vec<Vec<f64>> = vec![Vec::new(); (last - first + 1).max(0) as usize];
-    for o in outlines {
-        for i in 0..o.len() {
-            let (a, b) = (swap(o[i]), swap(o[(i + 1) % o.len()]));
-            let (a, b) = if a.y <= b.y { (a, b) } else { (b, a) };
-            // Half-open in y, so that a vertex is crossed once.
-            let from = ((a.y / spacing).ceil() as i64).max(first);
-            let mut k = from;
-            while k <= last && (k as f64 * spacing) < b.y {
-                let t = (k as f64 * spacing - a.y) / (b.y - a.y);
-                crossings[(k - first) as usize].push(a.x + t * (b.x - a.x));
-                k += 1;
-            }
-        }
-    }
-    let mut lines = Vec::new();
-    for (k, mut xs) in crossings.into_iter().enumerate() {
-        let y = (first + k as i64) as f64 * spacing;
-        xs.sort_by(f64::total_cmp);
-        for pair in xs.chunks_exact(2).filter(|p| p[1] - p[0] >= shortest) {
-            lines.push(vec![swap(DVec2::new(pair[0], y)), swap(DVec2::new(pair[1], y))]);
-        }
-    }
-    lines
+    let opened = offset(&offset(section, -first), first);
+    let thin = area(&outlines(section)) - area(&outlines(&opened));
+    let scale = process.layer / slab.height;
+    let feed = process.feed * scale;
+    Layer { z: slab.tip, feed, loops, fill: lines, thin_mm3: thin.max(0.0) * slab.height }
 }
 
 /// Lays lines one after the other, nearest first.
@@ -195,8 +216,9 @@ impl Head {
     }
 
     fn bead(&mut self, mut line: Line, z: f64) {
-        if let Some((here, _)) = self.at {
-            let (start, _) = entry(&line, here);
+        let aligned = (self.process.seam == Seam::Aligned).then(|| farthest(&line)).flatten();
+        let nearest = self.at.map(|(here, _)| entry(&line, here).0);
+        if let Some(start) = aligned.or(nearest) {
             if line[0] == line[line.len() - 1] && line.len() > 2 {
                 line.pop();
                 line.rotate_left(start);
@@ -249,6 +271,16 @@ impl Head {
     }
 }
 
+/// The corner of a closed line that lies farthest along v.
+fn farthest(line: &Line) -> Option<usize> {
+    let last = line.len() - 1;
+    let closed = line[0] == line[last] && line.len() > 2;
+    (0..last).filter(|_| closed).max_by(|a, b| {
+        let key = |i: usize| (line[i].y, line[i].x);
+        key(*a).partial_cmp(&key(*b)).unwrap_or(std::cmp::Ordering::Equal)
+    })
+}
+
 /// Where to start a line from `here`: the index (any point of a closed line, an end of an open
 /// one) and its distance.
 fn entry(line: &Line, here: DVec2) -> (usize, f64) {
@@ -272,7 +304,11 @@ fn entry(line: &Line, here: DVec2) -> (usize, f64) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::infill::length;
+    use super::super::polygons::to_paths;
+    use super::super::slice::Outline;
     use super::*;
+    use crate::machine::Pattern;
 
     fn figures() -> Printing {
         Printing {
@@ -280,6 +316,9 @@ mod tests {
             width: 0.5,
             perimeters: 2,
             infill: 0.3,
+            pattern: Pattern::Rectilinear,
+            skins: 3,
+            seam: Seam::Nearest,
             feed: 1200.0,
             travel_feed: 3000.0,
         }
@@ -289,28 +328,51 @@ mod tests {
         vec![DVec2::new(a, a), DVec2::new(b, a), DVec2::new(b, b), DVec2::new(a, b)]
     }
 
-    #[test]
-    fn hatching_fills_a_frame_with_pairs() {
-        let hole: Outline = square(3.0, 7.0).into_iter().rev().collect();
-        let lines = hatch(&[square(0.0, 10.0), hole], 1.5, false, 0.1);
-        let total: f64 = lines.iter().map(|l| l[0].distance(l[1])).sum();
-        // 7 lines of 10 mm (0, 1.5 … 9), of which 3, 4.5 and 6 lose 4 mm to the hole.
-        assert!((total - (70.0 - 12.0)).abs() < 1e-9, "{total}");
+    fn layer(outline: &[Outline], k: usize, of: usize) -> Layer {
+        let p = figures();
+        let sections = vec![to_paths(outline); of];
+        let inner: Vec<PathsD> = sections.iter().map(|s| inside(s, &p)).collect();
+        let slab = Slab { tip: 0.2, height: 0.2 };
+        beads(&sections[k], &inner[k], &bare(&inner, k, &p), &p, slab, k)
     }
 
     #[test]
     fn a_square_layer_has_its_perimeters_and_a_third_of_infill() {
-        let p = Printing { infill: 0.3, ..figures() };
-        let layer = beads(&[square(0.0, 20.0)], &p, 0.5, 0.2, 0);
-        assert_eq!(layer.loops.len(), 2);
-        let fill: f64 = layer.fill.iter().map(|l| l[0].distance(l[1])).sum();
-        let inner = 20.0f64 - 2.0 * (0.245 + 0.5 + 0.25);
-        let share = fill * p.width / (inner * inner);
-        assert!((share - 0.3).abs() < 0.03, "{share}");
-        assert!(layer.thin_mm2 < 0.01);
+        let middle = layer(&[square(0.0, 20.0)], 5, 11);
+        assert_eq!(middle.loops.len(), 2);
+        let inner = 20.0f64 - 2.0 * 0.995;
+        let share = |l: &Layer| l.fill.iter().map(length).sum::<f64>() * 0.5 / (inner * inner);
+        assert!((share(&middle) - 0.3).abs() < 0.03, "{}", share(&middle));
+        for skin in [0, 2, 8, 10] {
+            let s = share(&layer(&[square(0.0, 20.0)], skin, 11));
+            assert!((s - 1.0).abs() < 0.06, "{skin}: {s}");
+        }
+        assert!(middle.thin_mm3 < 0.002);
         let wall =
             vec![DVec2::ZERO, DVec2::new(10.0, 0.0), DVec2::new(10.0, 0.3), DVec2::new(0.0, 0.3)];
-        let thin = beads(&[wall], &p, 0.5, 0.2, 0);
-        assert!(thin.loops.is_empty() && (thin.thin_mm2 - 3.0).abs() < 1e-6);
+        let thin = layer(&[wall], 0, 1);
+        assert!(thin.loops.is_empty() && (thin.thin_mm3 - 0.6).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_last_layer_is_what_is_left() {
+        let p = figures();
+        for high in [0.03, 0.2, 0.29, 0.31, 1.0, 1.05, 1.09, 1.11, 1.15, 7.33] {
+            let all = slabs(0.0, high, &p);
+            let last = all[all.len() - 1];
+            assert!((last.tip - high).abs() < 1e-9, "{high}");
+            let floor = last.tip - last.height;
+            assert!(all.len() == 1 || (floor - all[all.len() - 2].tip).abs() < 1e-9, "{high}");
+            assert!(all.iter().all(|s| (0.0999..=0.3001).contains(&s.height)), "{high}");
+            assert!(all[..all.len() - 1].iter().all(|s| s.height == 0.2));
+        }
+    }
+
+    #[test]
+    fn an_aligned_seam_begins_at_the_farthest_corner() {
+        let mut line = square(0.0, 4.0);
+        line.push(line[0]);
+        assert_eq!(farthest(&line), Some(2));
+        assert_eq!(farthest(&line[..2].to_vec()), None);
     }
 }

@@ -1,4 +1,4 @@
-use crate::machine::{Extruder, Machine, Shape, Tool};
+use crate::machine::{Extruder, Machine, Pattern, Seam, Shape, Tool};
 
 /// How a cutter is driven. Lengths mm, feeds mm/min.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,6 +69,10 @@ pub(super) struct Printing {
     pub perimeters: usize,
     /// Fraction of the inner area that infill covers.
     pub infill: f64,
+    pub pattern: Pattern,
+    /// Layers without gaps under faces that look up or down.
+    pub skins: usize,
+    pub seam: Seam,
     /// Follows from the extruder's volumetric rate and the bead.
     pub feed: f64,
     pub travel_feed: f64,
@@ -82,6 +86,9 @@ impl Printing {
             width: p.path_mm,
             perimeters: p.perimeters as usize,
             infill: p.infill,
+            pattern: p.pattern,
+            skins: p.skins as usize,
+            seam: p.seam,
             feed: extruder.feed_mm_min(p),
             travel_feed: machine.control.max_feed_mm_min.min(machine.control.rapid_mm_min),
         }

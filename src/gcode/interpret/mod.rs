@@ -3,14 +3,18 @@
 //! Each `M6` begins the plan's next step. Blocks are executed word group by word group; a block that
 //! mixes what a control would have to order (codes and motion, turning and travelling) is refused.
 
-use super::report::{Finding, Rule};
-use super::words::{Word, read};
+mod extruder;
+
 use crate::base::{DVec3, Direction};
-use crate::machine::{AxisValues, Extruder, Machine, Placement, RotaryAngles, Tool};
+use crate::gcode::dialect::{Dialect, Dwell, Extrusion, ModuleCodes, RS274};
+use crate::gcode::report::{Finding, Rule};
+use crate::gcode::words::{Word, read};
+use crate::machine::{AxisValues, Machine, Placement, RotaryAngles, Tool};
 use crate::plan::{Job, Plan, StepKind};
+use crate::toolpath::rest_to_rest;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Gait {
+pub(in crate::gcode) enum Gait {
     Rapid,
     /// At feed; with a cutter it cuts.
     Feed,
@@ -20,7 +24,7 @@ pub(super) enum Gait {
 
 /// One straight move of the tip, work coordinates.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
+pub(in crate::gcode) struct Motion {
     pub line: usize,
     pub step: usize,
     pub gait: Gait,
@@ -30,15 +34,18 @@ pub(super) struct Motion {
     pub feed: f64,
 }
 
-pub(super) struct Run {
+pub(in crate::gcode) struct Run {
     pub motions: Vec<Motion>,
     pub findings: Vec<Finding>,
     /// Line of each step's tool change.
     pub step_lines: Vec<usize>,
+    /// Seconds that rotary axes turn and that the program waits, with the number of tool changes
+    /// before.
+    pub idle: Vec<(usize, f64)>,
 }
 
 /// What the interpreter knows of the plan.
-pub(super) struct Setting<'a> {
+pub(in crate::gcode) struct Setting<'a> {
     pub job: &'a Job,
     pub plan: &'a Plan,
     /// How the work stands in each step.
@@ -53,16 +60,20 @@ const PARKED_MM: f64 = 0.01;
 /// times that is still a tenth of what moves a tip by 0.01 mm at 60 mm.
 const POINTING_RAD: f64 = 2e-4;
 
-/// Largest relative error of a bead's feed: a hundredth more or less material.
-const BEAD_FEED: f64 = 0.01;
-
 /// Findings of one rule in one step that are told; a broken step would bury the others.
-pub(super) const MOST_FINDINGS: usize = 5;
+pub(in crate::gcode) const MOST_FINDINGS: usize = 5;
 
-pub(super) fn run(text: &str, setting: &Setting) -> Run {
+pub(in crate::gcode) fn run(text: &str, setting: &Setting) -> Run {
     let mut it = Interpreter::new(setting);
     for (i, line) in text.lines().enumerate() {
         it.line = i + 1;
+        if line.len() > it.dialect.longest_line {
+            let (n, most) = (line.len(), it.dialect.longest_line);
+            it.find(Rule::Syntax, format!("{n} bytes, the control takes {most}"));
+        }
+        if it.dialect.marks.is_some() && it.mark(line) {
+            continue;
+        }
         match read(line) {
             Ok(words) if words.is_empty() => {}
             Ok(words) => it.block(&words),
@@ -70,40 +81,23 @@ pub(super) fn run(text: &str, setting: &Setting) -> Run {
         }
     }
     it.finish();
-    Run { motions: it.motions, findings: it.findings, step_lines: it.step_lines }
-}
-
-struct Codes {
-    open: f64,
-    close: f64,
-    on: f64,
-    off: f64,
-    draw: f64,
-    give: f64,
-}
-
-impl Codes {
-    fn of(e: &Extruder) -> Option<Codes> {
-        let code = |text: &str| text.strip_prefix('M')?.parse::<u16>().ok().map(f64::from);
-        Some(Codes {
-            open: code(&e.m_open)?,
-            close: code(&e.m_close)?,
-            on: code(&e.m_on)?,
-            off: code(&e.m_off)?,
-            draw: code(&e.m_retract_on)?,
-            give: code(&e.m_retract_off)?,
-        })
-    }
+    let idle = [it.turned, it.dwelt].concat();
+    Run { motions: it.motions, findings: it.findings, step_lines: it.step_lines, idle }
 }
 
 struct Interpreter<'a> {
     setting: &'a Setting<'a>,
     machine: &'a Machine,
-    codes: Option<Codes>,
+    dialect: Dialect,
+    codes: Option<ModuleCodes>,
+    /// Percent signs so far, where the dialect has them.
+    marks: usize,
     line: usize,
     findings: Vec<Finding>,
     motions: Vec<Motion>,
     step_lines: Vec<usize>,
+    turned: Vec<(usize, f64)>,
+    dwelt: Vec<(usize, f64)>,
     // Modal state.
     modes: Vec<u32>,
     motion: Option<u32>,
@@ -114,6 +108,10 @@ struct Interpreter<'a> {
     extruding: bool,
     drawn: bool,
     chosen: Option<f64>,
+    /// Heights of the last two layers of beads in this step, mm.
+    layers: [Option<f64>; 2],
+    /// S word of an M42 block.
+    level: Option<f64>,
     compensated: bool,
     held_anew: bool,
     ended: bool,
@@ -122,20 +120,33 @@ struct Interpreter<'a> {
     rotary: [Option<f64>; 2],
 }
 
-/// Codes that must have been said before anything moves.
-const NEEDED: [u32; 5] = [17, 21, 54, 90, 94];
+/// G codes of which the others of their group cancel what a program relies on, but which do nothing
+/// here: no cutter compensation, no length, no cycle, path blending.
+const IDLE: [u32; 4] = [40, 49, 64, 80];
 
 impl<'a> Interpreter<'a> {
     fn new(setting: &'a Setting<'a>) -> Self {
         let machine = &setting.job.machine;
+        let dialect = Dialect::of(&machine.control);
+        let unknown = Finding {
+            line: 1,
+            rule: Rule::Modes,
+            message: format!("dialect '{}' is unknown", machine.control.dialect),
+        };
+        let findings = if dialect.is_some() { Vec::new() } else { vec![unknown] };
+        let dialect = dialect.unwrap_or(RS274);
         Interpreter {
             setting,
             machine,
-            codes: machine.extruder.as_ref().and_then(Codes::of),
+            dialect,
+            codes: machine.extruder.as_ref().and_then(|e| dialect.module_codes(e)),
+            marks: 0,
             line: 0,
-            findings: Vec::new(),
+            findings,
             motions: Vec::new(),
             step_lines: Vec::new(),
+            turned: Vec::new(),
+            dwelt: Vec::new(),
             modes: Vec::new(),
             motion: None,
             feed: None,
@@ -145,6 +156,8 @@ impl<'a> Interpreter<'a> {
             extruding: false,
             drawn: false,
             chosen: None,
+            layers: [None; 2],
+            level: None,
             compensated: false,
             held_anew: false,
             ended: false,
@@ -175,7 +188,24 @@ impl<'a> Interpreter<'a> {
         self.nose[2].is_some_and(|z| z >= self.machine.kinematics.z.home_mm - PARKED_MM)
     }
 
+    /// A percent sign or the number of the program between them; true when the line was one.
+    fn mark(&mut self, line: &str) -> bool {
+        let line = line.trim();
+        if line == "%" {
+            self.marks += 1;
+            if self.marks > 2 || (self.marks == 2) != self.ended {
+                self.find(Rule::End, "a percent sign inside the program");
+            }
+            return true;
+        }
+        let number = line.strip_prefix('O').map(|n| n.bytes().all(|b| b.is_ascii_digit()));
+        number == Some(true) && self.line == 2
+    }
+
     fn block(&mut self, words: &[Word]) {
+        if self.dialect.marks.is_some() && self.marks != 1 {
+            return self.find(Rule::End, "a block outside the percent signs");
+        }
         if self.ended {
             return self.find(Rule::End, "a block after the end of the program");
         }
@@ -184,7 +214,7 @@ impl<'a> Interpreter<'a> {
         let mut axes = [None; 3];
         let mut turns = [None; 2];
         let (mut gs, mut ms) = (Vec::new(), Vec::new());
-        let (mut dwell, mut length) = (None, None);
+        let (mut dwell, mut length, mut filament) = (None, None, None);
         for w in words {
             match w.letter {
                 'G' | 'M' => match code(w.value) {
@@ -199,10 +229,14 @@ impl<'a> Interpreter<'a> {
                 'Y' => axes[1] = Some(w.value),
                 'Z' => axes[2] = Some(w.value),
                 'F' => self.set_feed(w.value),
+                'S' if words.iter().any(|w| w.letter == 'M' && w.value == 42.0) => {
+                    self.level = Some(w.value);
+                }
                 'S' => self.speed = Some(w.value),
                 'T' => self.chosen = Some(w.value),
                 'P' => dwell = Some(w.value),
                 'H' => length = Some(w.value),
+                'E' if self.dialect.extrusion == Extrusion::Axis => filament = Some(w.value),
                 'N' => {}
                 l if l == rotary[0] => turns[0] = Some(w.value),
                 l if l == rotary[1] => turns[1] = Some(w.value),
@@ -214,20 +248,32 @@ impl<'a> Interpreter<'a> {
             return self.find(Rule::Syntax, "an M code stands with motion or another code");
         }
         for m in ms {
-            self.m_code(m);
+            self.m_code(m, dwell);
+        }
+        if !self.dialect.m6 && words.iter().any(|w| w.letter == 'T') {
+            self.change_tool();
+            self.compensated = true;
         }
         let absolute = gs.contains(&53);
         for g in &gs {
             match g {
                 0 | 1 => self.motion = Some(*g),
                 4 => {
-                    if !dwell.is_some_and(|p| (0.0..=600.0).contains(&p)) {
-                        self.find(Rule::Syntax, "G4 needs P, seconds up to 600");
+                    let unit = match self.dialect.dwell {
+                        Dwell::Seconds => 1.0,
+                        Dwell::Milliseconds => 1e-3,
+                    };
+                    match dwell.map(|p| p * unit).filter(|s| (0.0..=600.0).contains(s)) {
+                        Some(s) => self.dwelt.push((self.step_lines.len(), s)),
+                        None => self.find(Rule::Syntax, "G4 needs P, up to ten minutes"),
                     }
                 }
-                43 => self.compensate(length),
+                43 if self.dialect.m6 => self.compensate(length),
                 53 => {}
-                g if NEEDED.contains(g) => self.modes.push(*g),
+                g if self.dialect.needed.contains(g) || (54..=59).contains(g) => {
+                    self.modes.push(*g);
+                }
+                g if IDLE.contains(g) => {}
                 g => return self.find(Rule::Modes, format!("unknown code G{g}")),
             }
         }
@@ -238,7 +284,9 @@ impl<'a> Interpreter<'a> {
             return self.find(Rule::Syntax, "a dwell with motion");
         }
         if moves {
-            self.travel(axes, turns, absolute);
+            self.travel(axes, turns, absolute, filament);
+        } else if let Some(e) = filament {
+            self.filament(e);
         }
     }
 
@@ -257,10 +305,14 @@ impl<'a> Interpreter<'a> {
         self.compensated = true;
     }
 
-    fn m_code(&mut self, m: u32) {
+    fn m_code(&mut self, m: u32, p: Option<f64>) {
         match m {
-            0 => {
-                self.quiet("M0");
+            m if m == self.dialect.end => {
+                self.quiet(&format!("M{m}"));
+                self.ended = true;
+            }
+            m if m == self.dialect.pause => {
+                self.quiet(&format!("M{m}"));
                 self.held_anew = true;
             }
             3 => {
@@ -274,11 +326,9 @@ impl<'a> Interpreter<'a> {
                 self.spindle = true;
             }
             5 => self.spindle = false,
-            6 => self.change_tool(),
-            30 => {
-                self.quiet("M30");
-                self.ended = true;
-            }
+            6 if self.dialect.m6 => self.change_tool(),
+            83 if self.dialect.extrusion == Extrusion::Axis => self.modes.push(83),
+            42 if self.dialect.extrusion == Extrusion::Axis => self.pin(p),
             m => self.extruder_code(m),
         }
     }
@@ -304,6 +354,7 @@ impl<'a> Interpreter<'a> {
         self.quiet("M6");
         self.step_lines.push(self.line);
         (self.compensated, self.feed, self.motion) = (false, None, None);
+        self.layers = [None; 2];
         let n = self.step_lines.len();
         let Some(step) = self.setting.plan.steps.get(n - 1) else {
             let most = self.setting.plan.steps.len();
@@ -324,45 +375,26 @@ impl<'a> Interpreter<'a> {
         self.held_anew = false;
     }
 
-    fn extruder_code(&mut self, m: u32) {
-        let Some(c) = &self.codes else {
-            return self.find(Rule::Modes, format!("unknown code M{m}"));
-        };
-        let m = f64::from(m);
-        let (open, extruding, drawn) = (self.open, self.extruding, self.drawn);
-        let wrong = if m == c.open {
-            self.open = true;
-            let prints = self.kind() == Some(StepKind::Additive);
-            (!prints || open).then_some("the module opens in a step that does not print, or twice")
-        } else if m == c.close {
-            self.open = false;
-            (extruding || drawn || !open)
-                .then_some("the module closes while extruding or drawn back, or was not open")
-        } else if m == c.on {
-            (self.extruding, self.drawn) = (true, drawn);
-            (!open || drawn || extruding)
-                .then_some("extrusion starts while the module is closed, drawn back or extruding")
-        } else if m == c.off {
-            self.extruding = false;
-            (!extruding).then_some("extrusion stops, but it was not on")
-        } else if m == c.draw {
-            self.drawn = true;
-            (!open || extruding || drawn)
-                .then_some("retraction while the module is closed, extruding or drawn back")
-        } else if m == c.give {
-            self.drawn = false;
-            (!drawn).then_some("retraction ends, but the filament was not drawn back")
-        } else {
-            return self.find(Rule::Modes, format!("unknown code M{m}"));
-        };
-        if let Some(wrong) = wrong {
-            self.find(Rule::Extruder, wrong);
-        }
-    }
-
-    fn travel(&mut self, axes: [Option<f64>; 3], turns: [Option<f64>; 2], absolute: bool) {
-        if let Some(missing) = NEEDED.iter().find(|m| !self.modes.contains(m)) {
+    fn travel(
+        &mut self,
+        axes: [Option<f64>; 3],
+        turns: [Option<f64>; 2],
+        absolute: bool,
+        filament: Option<f64>,
+    ) {
+        let offset = self.machine.control.post.work_offset;
+        let mut needed = self.dialect.needed.iter().chain([&offset]);
+        if let Some(missing) = needed.find(|m| !self.modes.contains(m)) {
             return self.find(Rule::Modes, format!("motion before G{missing}"));
+        }
+        if self.modes.iter().any(|m| (54..=59).contains(m) && *m != offset) {
+            return self.find(Rule::Modes, format!("another work offset than G{offset}"));
+        }
+        if self.dialect.extrusion == Extrusion::Axis {
+            if !self.modes.contains(&83) {
+                return self.find(Rule::Modes, "motion before M83");
+            }
+            self.extruding = filament.is_some();
         }
         let Some(motion) = self.motion else {
             return self.find(Rule::Modes, "axis words without G0 or G1");
@@ -406,6 +438,12 @@ impl<'a> Interpreter<'a> {
             _ => Gait::Feed,
         };
         let (from, feed) = (before.map(|b| b.0), self.feed.unwrap_or(0.0));
+        if gait == Gait::Deposit {
+            self.bead_feed(self.setting.plan.steps[step].direction.dot(to));
+        }
+        if let (Some(e), Some(from)) = (filament, from) {
+            self.bead_filament(e, from.distance(to));
+        }
         self.motions.push(Motion { line: self.line, step, gait, from, to, feed });
     }
 
@@ -463,9 +501,11 @@ impl<'a> Interpreter<'a> {
         if self.spindle || self.open {
             self.find(Rule::Rotary, "rotary axes turn while the spindle or the extruder is on");
         }
+        let before = self.rotary;
         for (axis, turn) in self.rotary.iter_mut().zip(turns) {
             *axis = turn.or(*axis);
         }
+        self.turning(before);
         let chain = &self.machine.kinematics;
         for (rotary, angle) in [(&chain.first, self.rotary[0]), (&chain.second, self.rotary[1])] {
             if let Some(a) = angle.filter(|a| !rotary.allows(*a)) {
@@ -489,6 +529,20 @@ impl<'a> Interpreter<'a> {
         }
     }
 
+    /// Notes how long the rotary axes turn, both at once, from rest to rest.
+    fn turning(&mut self, before: [Option<f64>; 2]) {
+        let chain = &self.machine.kinematics;
+        let acceleration = self.machine.control.acceleration_deg_s2;
+        let home = [chain.first.home_deg, chain.second.home_deg];
+        let rates = [chain.first.rapid_deg_min, chain.second.rapid_deg_min];
+        let seconds = (0..2).map(|i| {
+            let to = self.rotary[i].unwrap_or(home[i]);
+            let angle = (to - before[i].unwrap_or(home[i])).abs();
+            rest_to_rest(angle, rates[i] / 60.0, acceleration)
+        });
+        self.turned.push((self.step_lines.len(), seconds.fold(0.0, f64::max)));
+    }
+
     /// Feed, spindle and extruder against what the move is.
     fn states(&mut self, motion: u32, step: usize) {
         if self.rotary.contains(&None) {
@@ -510,32 +564,20 @@ impl<'a> Interpreter<'a> {
             StepKind::Additive if !self.open => {
                 self.find(Rule::Extruder, "the nozzle moves at feed while the module is closed");
             }
-            StepKind::Additive if self.extruding => self.bead_feed(),
-            StepKind::Additive if !self.drawn => {
+            StepKind::Additive if !self.extruding && !self.drawn => {
                 self.find(Rule::Extruder, "the nozzle travels neither extruding nor drawn back");
             }
             _ => {}
         }
     }
 
-    fn bead_feed(&mut self) {
-        let (Some(e), Some(tool), Some(feed)) = (&self.machine.extruder, self.tool(), self.feed)
-        else {
-            return;
-        };
-        let want = e.feed_mm_min(&tool.process);
-        if (feed - want).abs() > BEAD_FEED * want {
-            self.find(
-                Rule::Feed,
-                format!("a bead at F{feed}, the extruder's rate needs {want:.1}"),
-            );
-        }
-    }
-
     fn finish(&mut self) {
         self.line = self.line.max(1);
         if !self.ended {
-            self.find(Rule::End, "the program does not end with M30");
+            let end = self.dialect.end;
+            self.find(Rule::End, format!("the program does not end with M{end}"));
+        } else if self.dialect.marks.is_some() && self.marks != 2 {
+            self.find(Rule::End, "the program does not end with a percent sign");
         }
         let (changes, steps) = (self.step_lines.len(), self.setting.plan.steps.len());
         if changes < steps {

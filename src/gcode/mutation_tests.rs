@@ -1,0 +1,236 @@
+//! Programs with one thing wrong: what an oracle of plain loops calls harmful, the check finds.
+//!
+//! `HMPLAN_MUTATIONS` sets how many programs are altered; 36 when it does not.
+
+use super::interpret::{Gait, Motion, Setting, run};
+use super::tests::{paths, report, told};
+use super::*;
+use crate::base::DVec3;
+use crate::plan::StepKind;
+use crate::toolpath::Replay;
+use crate::toolpath::tests::{WORLDS, World};
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus as Random;
+
+/// A program that passes, and what the oracle knows of it.
+struct Sound {
+    world: World,
+    replay: Replay,
+    lines: Vec<String>,
+    motions: Vec<Motion>,
+}
+
+impl Sound {
+    fn new(make: fn(&str) -> World) -> Sound {
+        let world = make("generic-5axis");
+        let text = post(&world.job, &world.plan, &paths(&world), "sha256:0").unwrap();
+        let replay = Replay::of(&world.job, &world.plan).unwrap();
+        let motions = motions(&world, &replay, text.text());
+        assert!(report(&world, text.text()).passed());
+        Sound { lines: text.lines().map(String::from).collect(), world, replay, motions }
+    }
+}
+
+fn motions(w: &World, replay: &Replay, text: &str) -> Vec<Motion> {
+    let placements: Vec<_> = w
+        .plan
+        .steps
+        .iter()
+        .zip(&replay.contact_center)
+        .map(|(s, c)| w.job.machine.placement(&w.plan.holdings[s.holding], *c))
+        .collect();
+    run(text, &Setting { job: &w.job, plan: &w.plan, placements: &placements }).motions
+}
+
+/// One alteration: the line (from 1) and the new text.
+fn mutate(s: &Sound, rng: &mut Random) -> (usize, &'static str, Vec<String>) {
+    let mut lines = s.lines.clone();
+    let mut pick = |f: &dyn Fn(&str) -> bool| {
+        let fit: Vec<usize> = (0..s.lines.len()).filter(|i| f(&s.lines[*i])).collect();
+        fit.get(rng.random_range(0..fit.len().max(1))).copied()
+    };
+    let moves = |l: &str| {
+        let l = l.trim_start_matches("G0 ").trim_start_matches("G1 ");
+        l.starts_with(['X', 'Y', 'Z'])
+    };
+    let kind = pick(&|_| true).map_or(0, |i| i % 5);
+    let at = match kind {
+        0 => pick(&moves),
+        1 => pick(&|l| l.starts_with("G0 Z")),
+        2 => pick(&|l| l.starts_with("M3 ") || l == "M72" || l == "M73"),
+        3 => pick(&|l| moves(l) || l.starts_with('M')),
+        _ => pick(&|l| l.starts_with("G0 A")),
+    };
+    let at = at.or_else(|| pick(&moves)).unwrap();
+    let name = match kind {
+        1 | 2 => {
+            lines.remove(at);
+            ["retract removed", "code removed"][kind - 1]
+        }
+        3 if at + 1 < lines.len() => {
+            lines.swap(at, at + 1);
+            "lines swapped"
+        }
+        4 if lines[at].starts_with("G0 A") => {
+            lines[at] = lines[at].replace(" A", " A-").replace("--", "");
+            "sign flipped"
+        }
+        _ => {
+            let by = rng.random_range(2.0..15.0) * if rng.random_bool(0.5) { 1.0 } else { -1.0 };
+            let words: Vec<String> = lines[at].split(' ').map(String::from).collect();
+            let k = words.iter().position(|w| w.starts_with(['X', 'Y', 'Z']));
+            if let Some(k) = k {
+                let mut words = words;
+                let value: f64 = words[k][1..].parse().unwrap();
+                words[k] = format!("{}{:.3}", &words[k][..1], value + by);
+                lines[at] = words.join(" ");
+            }
+            "coordinate changed"
+        }
+    };
+    (at + 1, name, lines)
+}
+
+/// Whether spindle or module are in the wrong state at some motion: word by word.
+fn wrong_state(s: &Sound, lines: &[String]) -> bool {
+    let (mut spindle, mut on, mut open, mut drawn) = (false, false, false, false);
+    let (mut step, mut feed) = (0usize, false);
+    let mut wrong = false;
+    for l in lines {
+        match l.as_str() {
+            "M5" => spindle = false,
+            "M70" => open = true,
+            "M71" => open = false,
+            "M72" => on = true,
+            "M73" => on = false,
+            "M74" => drawn = true,
+            "M75" => drawn = false,
+            l if l.starts_with("M3 ") => spindle = true,
+            l if l.ends_with("M6") => (step, feed) = (step + 1, false),
+            _ => {}
+        }
+        if l.starts_with("G0") || l.starts_with("G53") {
+            feed = false;
+        }
+        feed |= l.starts_with("G1");
+        let moves = feed && l.contains(['X', 'Y', 'Z']) && !l.starts_with('(');
+        let kind = step.checked_sub(1).and_then(|i| s.world.plan.steps.get(i)).map(|s| s.kind);
+        wrong |= moves
+            && match kind {
+                Some(StepKind::Subtractive) => !spindle,
+                Some(StepKind::Additive) => !open || on == drawn,
+                None => true,
+            };
+        wrong |= l.starts_with("G0 A") && (spindle || on);
+    }
+    wrong || spindle || on || open
+}
+
+/// Points of the motion, 0.2 mm apart.
+fn along(m: &Motion) -> impl Iterator<Item = DVec3> + use<> {
+    let (from, to) = (m.from.unwrap_or(m.to), m.to);
+    let n = (from.distance(to) / 0.2).ceil().max(1.0) as usize;
+    (0..=n).map(move |i| from.lerp(to, i as f64 / n as f64))
+}
+
+fn alike(a: &Motion, b: &Motion) -> bool {
+    let near = |p: Option<DVec3>, q: Option<DVec3>| match (p, q) {
+        (Some(p), Some(q)) => p.distance(q) < 1e-6,
+        (p, q) => p.is_none() && q.is_none(),
+    };
+    a.gait == b.gait && a.step == b.step && near(a.from, b.from) && near(Some(a.to), Some(b.to))
+}
+
+/// Whether new motions run into what stays, or missing ones leave material, beyond two voxels.
+fn wrong_motion(s: &Sound, after: &[Motion]) -> bool {
+    let w = &s.world;
+    let slack = 2.0 * w.job.frame.pitch;
+    let n = s.motions.iter().zip(after).take_while(|(a, b)| alike(a, b)).count();
+    let tail = s.motions[n..].iter().rev().zip(after[n..].iter().rev());
+    let m = tail.take_while(|(a, b)| alike(a, b)).count();
+    let (gone, new) = (&s.motions[n..s.motions.len() - m], &after[n..after.len() - m]);
+    let points = |grid: &crate::voxel::BitGrid| -> Vec<DVec3> {
+        grid.boundary().iter_ones().map(|v| w.job.frame.center(v)).collect()
+    };
+    for m in new {
+        let step = &w.plan.steps[m.step];
+        let plane = step.direction.image_plane();
+        let tool = w.job.tool(&step.tool).unwrap();
+        let cuts = step.kind == StepKind::Subtractive && m.gait != Gait::Rapid;
+        let solid = points(&s.replay.states[m.step + usize::from(cuts)]);
+        let hit = |tip: DVec3| {
+            solid.iter().any(|p| {
+                let rho = plane.across(*p).distance(plane.across(tip)) + slack;
+                plane.height(*p) - slack > plane.height(tip) + tool.lower_surface(rho)
+            })
+        };
+        let up = m.from.is_some_and(|f| {
+            plane.across(m.to - f).length() < 0.01 && plane.height(m.to - f) >= 0.0
+        });
+        if !up && along(m).any(hit) {
+            return true;
+        }
+        let away = |tip: DVec3| {
+            let near = |v| w.job.frame.center(v).distance(tip) < 3.0;
+            m.gait == Gait::Deposit && !step.region.iter_ones().any(near)
+        };
+        if along(m).any(away) {
+            return true;
+        }
+    }
+    // What the missing cuts swept and no other cut sweeps.
+    let slack = w.job.rules.tolerance_mm + w.job.frame.pitch;
+    let sweeps = |m: &Motion, p: DVec3, slack: f64| {
+        let step = &w.plan.steps[m.step];
+        let plane = step.direction.image_plane();
+        let tool = w.job.tool(&step.tool).unwrap();
+        m.gait == Gait::Feed
+            && along(m).any(|tip| {
+                let rho = (plane.across(p).distance(plane.across(tip)) - slack).max(0.0);
+                plane.height(tip) + tool.active_lower_surface(rho) <= plane.height(p) + slack
+            })
+    };
+    let mut left = 0;
+    for (i, step) in w.plan.steps.iter().enumerate() {
+        if step.kind == StepKind::Additive || !gone.iter().any(|m| m.step == i) {
+            continue;
+        }
+        for v in step.region.iter_ones() {
+            let p = w.job.frame.center(v);
+            let lost = gone.iter().any(|m| m.step == i && sweeps(m, p, 0.0));
+            let kept = || after.iter().any(|m| m.step == i && sweeps(m, p, slack));
+            left += usize::from(lost && !kept());
+        }
+    }
+    left >= 20
+}
+
+#[test]
+fn harmful_mutations_are_caught_with_their_line() {
+    let count = std::env::var("HMPLAN_MUTATIONS").ok().and_then(|n| n.parse().ok()).unwrap_or(36);
+    let sound: Vec<Sound> = WORLDS.iter().map(|(_, make)| Sound::new(*make)).collect();
+    let mut rng = Random::seed_from_u64(7);
+    let (mut harmful, mut caught, mut on_line) = (0, 0, 0);
+    for i in 0..count {
+        let s = &sound[i % sound.len()];
+        let (at, name, lines) = mutate(s, &mut rng);
+        let text = lines.join("\n") + "\n";
+        let r = report(&s.world, &text);
+        caught += usize::from(!r.passed());
+        let after = motions(&s.world, &s.replay, &text);
+        let flipped = name == "sign flipped" && !s.lines[at - 1].contains("A0.0000");
+        if !(flipped || wrong_state(s, &lines) || wrong_motion(s, &after)) {
+            continue;
+        }
+        harmful += 1;
+        let what = format!("mutation {i}, {name} at line {at}: {}", s.lines[at - 1]);
+        assert!(!r.passed(), "{what}: nothing was found");
+        // The line itself, or the first motion after it that does the harm.
+        let next = (at..lines.len()).find(|k| lines[*k].starts_with("G1")).unwrap_or(at) + 1;
+        let near = r.findings.iter().any(|f| f.line + 3 >= at && f.line <= next.max(at + 6));
+        on_line += usize::from(near);
+        assert!(near || r.findings.iter().any(|f| f.rule == Rule::Volume), "{what}:\n{}", told(&r));
+    }
+    println!("{count} programs: {harmful} harmful, {caught} caught, {on_line} at their line");
+    assert!(harmful >= count / 3, "only {harmful} of {count} do harm: the oracle is blind");
+}

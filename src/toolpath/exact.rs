@@ -1,0 +1,209 @@
+//! Tip heights over the meshes themselves, where the voxels know which of them still stand.
+//!
+//! Method: of the output state's surface, what lies on M* is taken from M*'s triangles and what lies
+//! outside M* on M from M's; triangles that only partly stand are divided until their pieces do or
+//! do not. The end of the cutter rests on those by drop-cutter. Faces that cuts leave inside M
+//! have no triangles: there the voxels are the obstacle, with their margin. Shank and holder are
+//! held against the voxels alone.
+//!
+//! Guarantees: over a surface of M or M* that stands, the tip is exact to rounding at every cell of
+//! the lattice. Not guaranteed: within a voxel of the rim between two surfaces.
+
+use super::drop::{DropCutter, End};
+use super::image::{Image, Lattice, Profile};
+use super::mill::{Free, Work};
+use crate::base::{DVec2, DVec3};
+use crate::mesh::{NearestTriangle, TriMesh};
+use crate::voxel::BitGrid;
+use rayon::prelude::*;
+
+/// A boundary voxel's centre lies this many pitches from its surface at most: √3/2.
+const NEAR_PITCH: f64 = 0.87;
+
+/// Pieces with shorter sides, in pitches, are judged by their corners and middle.
+const JUDGED_PITCH: f64 = 4.0;
+
+pub(super) struct Exact {
+    /// Heights at which the end rests on what stands of the meshes.
+    resting: Image,
+    /// Obstacles that no mesh stands for, with pedestal and table.
+    rest: Image,
+}
+
+impl Exact {
+    /// None when the job has no meshes or the cutter's end is not one of [`End`].
+    pub fn of(work: &Work, free: &Free) -> Option<Exact> {
+        let end = End::of(work.tool)?;
+        let h = work.frame.pitch;
+        let meshes = [&work.job.target_mesh, &work.job.initial_mesh];
+        if meshes.iter().all(|m| m.is_empty()) {
+            return None;
+        }
+        // What stands of either mesh's solid on its own side.
+        let stands = [work.after.and(&work.job.target), work.after.minus(&work.job.target)];
+        let lattice = free.window;
+        let margin = DVec2::splat(end.radius() + h);
+        let far = lattice.uv([lattice.n[0] - 1, lattice.n[1] - 1]) + margin;
+        let near = lattice.origin - margin;
+        let within = |p: DVec2| p.cmpge(near).all() && p.cmple(far).all();
+        let mut triangles = Vec::new();
+        for (mesh, solid) in meshes.iter().zip(&stands) {
+            triangles.extend(standing(mesh, solid, work, near, far));
+        }
+        let nearest = meshes.map(|m| NearestTriangle::new(m, NEAR_PITCH * h));
+        let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
+        let plane = lattice.plane;
+        let bare: Vec<DVec3> = shell
+            .par_iter()
+            .map(|v| (*v, work.frame.center(*v)))
+            .filter(|(_, p)| within(plane.across(*p)))
+            .filter(|(v, p)| {
+                let side = usize::from(!work.job.target.get(*v));
+                nearest[side].query(*p).is_none_or(|q| q.distance > NEAR_PITCH * h)
+            })
+            .map(|(_, p)| p)
+            .collect();
+        let mut rest = free.empty();
+        for p in bare.iter().chain(work.fixed) {
+            rest.raise(*p);
+        }
+        let drop = DropCutter::new(triangles, end.radius());
+        let mut resting = Image::empty(lattice);
+        resting.data.par_iter_mut().enumerate().for_each(|(i, z)| {
+            let uv = lattice.uv(lattice.cell_of_index(i));
+            *z = drop.height(end, uv).map_or(f32::NEG_INFINITY, |z| z as f32);
+        });
+        Some(Exact { resting, rest })
+    }
+
+    /// Lowest free tips: the end over the meshes, the rest of the tool over the voxels; with the
+    /// tool grown by `side` and `down` where voxels are the obstacle, by `over` over the meshes.
+    pub fn heights(&self, work: &Work, free: &Free, side: f64, down: f64, over: f64) -> Image {
+        let tool = work.tool;
+        let (edge, s) = (tool.active_radius(), free.window.s);
+        let upper = |rho: f64| if rho <= edge { f64::INFINITY } else { tool.lower_surface(rho) };
+        let holder = Profile::new(upper, tool.max_radius(), s, side, down);
+        let end = Profile::new(|rho| tool.active_lower_surface(rho), edge, s, side, down);
+        let mut out = free.dilated(&holder);
+        let bare = end.dilate(&self.rest, free.window, free.highest());
+        // No point of the surface is farther from its voxel: what rests higher does not stand.
+        let far = NEAR_PITCH * work.frame.pitch + s;
+        let bound = free.heights(tool, far, far);
+        let resting = self.resting.data.iter().zip(&bound.data).map(|(r, b)| r.min(*b));
+        for ((z, b), r) in out.data.iter_mut().zip(&bare.data).zip(resting) {
+            *z = z.max(*b).max(r + over as f32);
+        }
+        out
+    }
+}
+
+/// Pieces of a mesh on whose inner side `solid` has material, as (u, v, height), over a box of
+/// (u, v).
+fn standing(
+    mesh: &TriMesh,
+    solid: &BitGrid,
+    work: &Work,
+    near: DVec2,
+    far: DVec2,
+) -> Vec<[DVec3; 3]> {
+    let plane = work.step.direction.image_plane();
+    let h = work.frame.pitch;
+    let pieces: Vec<Vec<[DVec3; 3]>> = (0..mesh.triangles().len())
+        .into_par_iter()
+        .map(|t| {
+            let corners = mesh.corners(t);
+            let uv = corners.map(|p| plane.across(p));
+            let lo = uv[0].min(uv[1]).min(uv[2]);
+            let hi = uv[0].max(uv[1]).max(uv[2]);
+            let Some(normal) = mesh.area_normal(t).try_normalize() else { return Vec::new() };
+            if lo.cmpgt(far).any() || hi.cmplt(near).any() {
+                return Vec::new();
+            }
+            let half = normal * (h / 2.0);
+            // Either side: single triangles may face the wrong way.
+            let stands = |p: DVec3| {
+                let solid = |q: DVec3| work.frame.voxel_at(q).is_some_and(|v| solid.get(v));
+                solid(p - half) || solid(p + half)
+            };
+            let mut out = Vec::new();
+            divide(&corners, JUDGED_PITCH * h, h, &stands, &mut out);
+            out
+        })
+        .collect();
+    let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
+    pieces.into_iter().flatten().map(|t| t.map(turned)).collect()
+}
+
+/// Adds the standing pieces of a triangle; true when all of it stands and nothing was added.
+fn divide(
+    t: &[DVec3; 3],
+    judged: f64,
+    least: f64,
+    stands: &dyn Fn(DVec3) -> bool,
+    out: &mut Vec<[DVec3; 3]>,
+) {
+    if whole(t, judged, least, stands, out) {
+        out.push(*t);
+    }
+}
+
+fn whole(
+    t: &[DVec3; 3],
+    judged: f64,
+    least: f64,
+    stands: &dyn Fn(DVec3) -> bool,
+    out: &mut Vec<[DVec3; 3]>,
+) -> bool {
+    let [a, b, c] = *t;
+    let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+    let middle = (a + b + c) / 3.0;
+    if longest <= least {
+        return stands(middle);
+    }
+    let (d, e, f) = ((a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0);
+    if longest <= judged {
+        let pull = |p: DVec3| p.lerp(middle, 0.1);
+        let found = [a, b, c, d, e, f, middle].map(|p| stands(pull(p)));
+        if found.iter().all(|s| *s == found[0]) {
+            return found[0];
+        }
+    }
+    let parts = [[a, d, f], [d, b, e], [f, e, c], [d, e, f]];
+    let before = out.len();
+    let mut all = true;
+    let mut held: Vec<[DVec3; 3]> = Vec::new();
+    for p in &parts {
+        if whole(p, judged, least, stands, out) {
+            held.push(*p);
+        } else {
+            all = false;
+        }
+    }
+    if all && out.len() == before {
+        return true;
+    }
+    out.extend(held);
+    false
+}
+
+/// A lattice's image of steepness: the tangent of the slope at each finite cell.
+pub(super) fn steepness(lattice: &Lattice, bottom: &[f32]) -> Vec<f32> {
+    let [nx, ny] = lattice.n;
+    let at = |i: i64, j: i64| {
+        let inside = i >= 0 && j >= 0 && i < nx as i64 && j < ny as i64;
+        inside.then(|| bottom[i as usize + nx * j as usize]).filter(|z| z.is_finite())
+    };
+    (0..bottom.len())
+        .map(|k| {
+            let (i, j) = ((k % nx) as i64, (k / nx) as i64);
+            let Some(z) = at(i, j) else { return 0.0 };
+            let rise = |a: Option<f32>, b: Option<f32>| match (a, b) {
+                (Some(a), Some(b)) => (b - a).abs() / 2.0,
+                (Some(a), None) | (None, Some(a)) => (a - z).abs(),
+                (None, None) => 0.0,
+            };
+            let (u, v) = (rise(at(i - 1, j), at(i + 1, j)), rise(at(i, j - 1), at(i, j + 1)));
+            u.hypot(v) / lattice.s as f32
+        })
+        .collect()
+}
