@@ -1,8 +1,13 @@
 //! Domain-free search engines, tested on toy problems with known optima.
 //!
-//! Guarantees: [`set_cover`] returns a proven optimum of the weighted set-cover problem. Not
-//! guaranteed: anything about ties beyond their being broken the same way every time.
+//! Guarantees: [`set_cover`] returns a proven optimum of the weighted set-cover problem;
+//! [`ida`] a cheapest path when its estimate never exceeds what is left. Not guaranteed: anything
+//! about ties beyond their being broken the same way every time.
 
 mod cover;
+mod ida;
+#[cfg(test)]
+mod ida_tests;
 
 pub use cover::{CoverError, WeightedSet, set_cover};
+pub use ida::{Ending, Found, IdaOptions, Made, Seen, Status, Successor, Successors, TIE, World, ida};
