@@ -52,7 +52,11 @@ pub struct Made<S, A> {
 pub enum Successor<S, A> {
     Made(Made<S, A>),
     /// Not made yet; neither figure exceeds that of what will be made.
-    Promised { action: A, cost_at_least: f64, remaining_at_least: f64 },
+    Promised {
+        action: A,
+        cost_at_least: f64,
+        remaining_at_least: f64,
+    },
 }
 
 /// What is searched.

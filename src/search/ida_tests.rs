@@ -98,7 +98,8 @@ fn graph() -> impl Strategy<Value = Graph> {
                 .into_iter()
                 .map(|e| e.into_iter().map(|(to, c)| (to, f64::from(c) * 0.1)).collect())
                 .collect();
-            let goals: Vec<bool> = goals.iter().enumerate().map(|(i, g)| i > 0 && *g == 0).collect();
+            let goals: Vec<bool> =
+                goals.iter().enumerate().map(|(i, g)| i > 0 && *g == 0).collect();
             // True costs to go, by relaxing until nothing changes.
             let mut to_go: Vec<f64> =
                 goals.iter().map(|g| if *g { 0.0 } else { f64::INFINITY }).collect();

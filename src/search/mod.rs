@@ -10,4 +10,6 @@ mod ida;
 mod ida_tests;
 
 pub use cover::{CoverError, WeightedSet, set_cover};
-pub use ida::{Ending, Found, IdaOptions, Made, Seen, Status, Successor, Successors, TIE, World, ida};
+pub use ida::{
+    Ending, Found, IdaOptions, Made, Seen, Status, Successor, Successors, TIE, World, ida,
+};
