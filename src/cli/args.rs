@@ -115,6 +115,9 @@ pub struct PlanArgs {
     /// Overhang that carries itself in planner search, degrees; below 45 only columns do
     #[arg(long, default_value_t = 45.0, value_name = "DEG", value_parser = not_negative, help_heading = "Search")]
     pub overhang: f64,
+    /// Let the lower bound of planner search count what must be sacrificed
+    #[arg(long, help_heading = "Search")]
+    pub tight_bound: bool,
     /// Write the tree of planner search too, one line a state
     #[arg(long, value_name = "FILE", help_heading = "Search")]
     pub trace: Option<PathBuf>,

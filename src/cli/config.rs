@@ -73,6 +73,7 @@ impl PlanConfig {
                 rotations: s.rotations.count(),
                 overhang_deg: s.overhang_deg,
                 tool_costs: s.tool_costs.clone(),
+                tight_bound: s.tight_bound,
             }),
             setup: match self.setup {
                 Setup::Search => "search",
@@ -192,6 +193,7 @@ fn search(args: &PlanArgs) -> Result<Option<hybrid::Options>, Failure> {
         },
         overhang_deg: args.overhang,
         tool_costs: args.tool_cost.clone(),
+        tight_bound: args.tight_bound,
         patience: usual.patience.filter(|_| args.time_limit.is_none()),
         ..usual
     }))

@@ -83,6 +83,8 @@ pub struct SearchCommand {
     pub overhang_deg: f64,
     /// Costs of single tools by name.
     pub tool_costs: Vec<(String, f64)>,
+    /// Whether the lower bound counts what must be sacrificed.
+    pub tight_bound: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

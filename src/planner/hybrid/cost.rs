@@ -52,6 +52,16 @@ impl Costs {
         self.least_nozzle * deficit as f64 + self.least_cutter * excess as f64
     }
 
+    /// What it costs at least to remove and add again so many voxels.
+    pub fn sacrificed(&self, voxels: usize) -> f64 {
+        (self.least_cutter + self.least_nozzle) * voxels as f64
+    }
+
+    /// Voxels that a goal may be off by.
+    pub fn slack(&self) -> usize {
+        (self.delta * self.target as f64).floor() as usize
+    }
+
     /// Eq. 38.
     pub fn is_goal(&self, excess: usize, deficit: usize) -> bool {
         let off = excess + deficit;

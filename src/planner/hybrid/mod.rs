@@ -39,6 +39,7 @@ mod cost;
 mod cutting;
 mod filling;
 mod packed;
+mod sacrifice;
 mod site;
 #[cfg(test)]
 mod tests;
@@ -88,6 +89,8 @@ pub struct Options {
     pub least_share: f64,
     /// Costs of single tools by name, where they differ: adding with the usual nozzle is 1.
     pub tool_costs: Vec<(String, f64)>,
+    /// Whether the bound counts what must be sacrificed (`sacrifice`), beyond Eq. 39.
+    pub tight_bound: bool,
     /// States expanded in vain, one after the other, before the search ends; none without limit.
     pub patience: Option<usize>,
     /// Bytes that states may take.
@@ -105,6 +108,7 @@ impl Default for Options {
             overhang_deg: 45.0,
             least_share: 1e-4,
             tool_costs: Vec::new(),
+            tight_bound: false,
             patience: Some(PATIENCE),
             most_bytes: 1 << 30,
         }
@@ -118,7 +122,8 @@ const PATIENCE: usize = 40;
 /// What a run tells beside its plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
-    /// g + h of the plan, and the bound h of Eq. 39 at the start; mm³, adding being 1.
+    /// g + h of the plan, and what any plan costs at least: h of Eq. 39 at the start, or the tighter
+    /// bound; mm³, adding being 1.
     pub cost: f64,
     pub bound: f64,
     pub expanded: usize,
@@ -188,10 +193,15 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             options.most_steps
         )),
     }
+    let mut bound = found.bound;
+    if options.tight_bound {
+        let voxels = sacrifice::least_sacrifice(&shop, &job.initial, shop.costs.slack());
+        bound += shop.costs.sacrificed(voxels);
+    }
     let plan = steps(&shop, &found.path);
     let report = Report {
         cost: found.cost * voxel,
-        bound: found.bound * voxel,
+        bound: bound * voxel,
         expanded: found.expanded,
         rounds: found.rounds,
         goal: found.ending == Ending::Goal,

@@ -98,6 +98,10 @@ impl<'a> Shop<'a> {
         self.bytes.load(Ordering::Relaxed)
     }
 
+    pub fn views(&self) -> &[View] {
+        &self.views
+    }
+
     pub fn view(&self, axis: usize) -> Option<&View> {
         self.views.iter().find(|v| v.index == axis)
     }
