@@ -12,7 +12,8 @@
 //! | λ, w, δ | [`Options`] | c_SM/c_AM, weight of the estimate, deviation of a goal |
 //! | f = g + (1 + w) h | [`crate::search::ida`] | cost so far and estimate |
 //!
-//! Stages, in the paper's order: actions (Sec. 4: `cutting`, `undercut`, `filling`), the space of
+//! Stages, in the paper's order: actions (Sec. 4: `cutting`, `undercut`, `filling`; cuts by tools of
+//! any shape: `shaped`), the space of
 //! plans (Sec. 5: `world`), costs (Sec. 6.1: `cost`), search (Sec. 6: [`crate::search::ida`]), and
 //! the plan's steps (here).
 //!
@@ -40,12 +41,15 @@ mod cutting;
 mod filling;
 mod packed;
 mod sacrifice;
+mod shaped;
 mod site;
 #[cfg(test)]
 mod tests;
 mod trace;
 mod undercut;
 mod world;
+
+pub use shaped::{over_cut_by, under_cut_by};
 
 use crate::base::Ctx;
 use crate::machine::{BaseKind, Holding};

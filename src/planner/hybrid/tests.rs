@@ -15,6 +15,7 @@ use crate::search::{Successor, World};
 use crate::verify::verify;
 use crate::voxel::{BitGrid, Frame};
 use proptest::prelude::*;
+use std::collections::HashMap;
 
 fn column(z0: f64, z1: f64, r: f64) -> Shape {
     Shape::Frustum { z0, r0: r, z1, r1: r }
@@ -239,29 +240,48 @@ fn contacts_that_are_shared_cost_no_more_than_each_point_its_own() {
     assert!(sacrificed <= own, "{sacrificed} for {own}");
 }
 
-/// A world of nothing but made successors, by trying every path.
-fn cheapest(shop: &Shop, state: &super::world::State, paid: f64, depth: usize) -> Option<f64> {
-    if shop.is_goal(state) {
-        return Some(paid + shop.remaining(state));
-    }
-    if depth == 0 {
-        return None;
-    }
-    let mut best: Option<f64> = None;
-    for way in shop.successors(state).unwrap() {
-        let (cost, next) = match way {
-            Successor::Made(m) => (m.cost, m.state),
-            Successor::Promised { action, cost_at_least, remaining_at_least } => {
-                let Some((cost, next)) = shop.make(state, &action).unwrap() else { continue };
-                assert!(cost_at_least <= cost && remaining_at_least <= shop.remaining(&next));
-                (cost, next)
-            }
-        };
-        if let Some(found) = cheapest(shop, &next, paid + cost, depth - 1) {
-            best = Some(best.map_or(found, |b| b.min(found)));
+/// The least cost to go from a state in so many steps, by trying every plan; what follows from a
+/// state is remembered by it.
+#[derive(Default)]
+struct Trials {
+    ways: HashMap<u128, Vec<(f64, super::world::State)>>,
+    to_go: HashMap<(u128, usize), Option<f64>>,
+}
+
+impl Trials {
+    fn cheapest(&mut self, shop: &Shop, state: &super::world::State, depth: usize) -> Option<f64> {
+        if shop.is_goal(state) {
+            return Some(shop.remaining(state));
         }
+        if depth == 0 {
+            return None;
+        }
+        let key = shop.key(state);
+        if let Some(known) = self.to_go.get(&(key, depth)) {
+            return *known;
+        }
+        let ways = self.ways.entry(key).or_insert_with(|| all_ways(shop, state)).clone();
+        let mut best: Option<f64> = None;
+        for (cost, next) in &ways {
+            if let Some(found) = self.cheapest(shop, next, depth - 1) {
+                best = Some(best.map_or(cost + found, |b| b.min(cost + found)));
+            }
+        }
+        self.to_go.insert((key, depth), best);
+        best
     }
-    best
+}
+
+fn all_ways(shop: &Shop, state: &super::world::State) -> Vec<(f64, super::world::State)> {
+    let made = |way| match way {
+        Successor::Made(m) => Some((m.cost, m.state)),
+        Successor::Promised { action, cost_at_least, remaining_at_least } => {
+            let (cost, next) = shop.make(state, &action).unwrap()?;
+            assert!(cost_at_least <= cost && remaining_at_least <= shop.remaining(&next));
+            Some((cost, next))
+        }
+    };
+    shop.successors(state).unwrap().into_iter().filter_map(made).collect()
 }
 
 fn equals_trying_all(dims: [usize; 3], seeds: std::ops::Range<u64>, depth: usize, tools: usize) {
@@ -282,7 +302,7 @@ fn equals_trying_all(dims: [usize; 3], seeds: std::ops::Range<u64>, depth: usize
         assert!(plan.steps.len() <= depth);
         let shop = Shop::new(&job, &options, &ctx);
         let start = shop.state(&job.initial, 0);
-        let all = cheapest(&shop, &start, 0.0, depth);
+        let all = Trials::default().cheapest(&shop, &start, depth);
         assert_eq!(report.goal, all.is_some(), "seed {seed}");
         if let Some(all) = all {
             goals += 1;
@@ -381,4 +401,50 @@ fn an_unreachable_target_gives_the_nearest_plan_and_says_so() {
     assert!(plan.steps.is_empty() && !report.goal);
     assert!(report.notes.iter().any(|n| n.contains("nearer")), "{:?}", report.notes);
     assert_eq!(report.trace.lines().next().unwrap().split('\t').count(), 10);
+}
+
+/// A tool no axis of which it is round about: an L, turned all 24 ways.
+#[test]
+fn tools_of_any_shape_cut_what_the_equations_say() {
+    let dims = [9, 8, 7];
+    let ctx = Ctx::quiet();
+    let passive: Vec<[i64; 3]> = (2..7).map(|z| [0, 0, z]).chain([[1, 0, 6], [2, 0, 6]]).collect();
+    let active = [[0, 0, 0], [0, 0, 1]];
+    for (seed, turn) in crate::morph::cardinal_rotations().iter().enumerate() {
+        let (state, target) = (blocky(dims, seed as u64), blocky(dims, seed as u64 + 40));
+        let body = crate::morph::Element::from_offsets(&[&passive[..], &active[..]].concat());
+        let edge = crate::morph::Element::from_offsets(&active);
+        let tool = VoxelTool::of_elements(
+            crate::morph::turned(&body, turn),
+            crate::morph::turned(&edge, turn),
+            None,
+        );
+        let naive = |o: &BitGrid| access::accessible(access::Engine::Naive, o, &tool);
+        let region = over_cut_by(&tool, &state, &target, &ctx).unwrap();
+        let after = state.minus(&region);
+        let excess = state.minus(&target);
+        assert_eq!(state.minus(&naive(&after).and(&excess)), after, "{turn:?}");
+        if let Some(left) = under_cut_by(&tool, &state, &target, &ctx).unwrap() {
+            assert!(left.is_subset_of(&target));
+            assert!(state.minus(&left).is_subset_of(&naive(&left)), "{turn:?}");
+        }
+    }
+}
+
+/// The depth engine and voxels agree on tools that both take.
+#[test]
+fn cuts_by_columns_are_those_by_voxels() {
+    let dims = [9, 8, 7];
+    for seed in 0..6 {
+        let (state, target) = (blocky(dims, seed), blocky(dims, seed + 70));
+        let job = job(state.clone(), target.clone());
+        sites(&job, &state, |view, site| {
+            for tool in &job.cutters {
+                let voxels = VoxelTool::along(tool, view.direction, 1.0).unwrap();
+                let own = over_cut(site, &site.state.minus(&view.target), tool).region;
+                let by = over_cut_by(&voxels, &state, &target, &Ctx::quiet()).unwrap();
+                assert_eq!(view.down(&own), by, "{:?}", view.direction);
+            }
+        });
+    }
 }

@@ -26,6 +26,7 @@ use crate::base::DVec2;
 use crate::machine::Tool;
 use crate::plan::Job;
 use crate::voxel::BitGrid;
+use std::collections::HashMap;
 
 /// Rounds before an under-cut is given up: each frees what the round before uncovered, and a tool
 /// has few sections to uncover.
@@ -315,7 +316,16 @@ pub fn least_collateral(site: &Site, hidden: &BitGrid, tool: &Tool) -> usize {
     let contacts = Footprint::new(tool, pitch, [1; 3]).contacts;
     let stride = needs.len().div_ceil(BOUND_SAMPLES).max(1);
     let [nx, ny, nz] = keep.dims();
-    let met = |[x, y]: [i64; 2], tip: f64, limit: usize| {
+    // Of each column looked at, the solid voxels from every layer up.
+    let mut towers: HashMap<(i64, i64), Vec<usize>> = HashMap::new();
+    let tower = |x: i64, y: i64| {
+        let mut from = vec![0; nz + 1];
+        for z in (0..nz).rev() {
+            from[z] = from[z + 1] + usize::from(keep.get([x as usize, y as usize, z]));
+        }
+        from
+    };
+    let mut met = |[x, y]: [i64; 2], tip: f64, limit: usize| {
         let mut sum = 0;
         for (i, j, z) in &cells {
             let (x, y) = (x + i, y + j);
@@ -323,17 +333,24 @@ pub fn least_collateral(site: &Site, hidden: &BitGrid, tool: &Tool) -> usize {
                 continue;
             }
             let first = ((tip + z + SLACK_MM) / pitch + 0.5).floor().max(0.0) as usize;
-            sum += (first..nz).filter(|z| keep.get([x as usize, y as usize, *z])).count();
+            sum += towers.entry((x, y)).or_insert_with(|| tower(x, y))[first.min(nz)];
             if sum >= limit {
                 break;
             }
         }
         sum
     };
-    let least = |&([x, y], z): &([i64; 2], f64)| {
+    let mut least = |&([x, y], z): &([i64; 2], f64)| {
         contacts
             .iter()
             .fold(usize::MAX, |least, &(i, j, k)| least.min(met([x + i, y + j], z - k, least)))
     };
-    needs.iter().step_by(stride).map(least).filter(|n| *n < usize::MAX).max().unwrap_or(0).max(1)
+    needs
+        .iter()
+        .step_by(stride)
+        .map(&mut least)
+        .filter(|n| *n < usize::MAX)
+        .max()
+        .unwrap_or(0)
+        .max(1)
 }
