@@ -194,6 +194,7 @@ fn search(args: &PlanArgs) -> Result<Option<hybrid::Options>, Failure> {
         overhang_deg: args.overhang,
         tool_costs: args.tool_cost.clone(),
         tight_bound: args.tight_bound,
+        least_share: hybrid::LEAST_SHARE * args.delta,
         patience: usual.patience.filter(|_| args.time_limit.is_none()),
         ..usual
     }))

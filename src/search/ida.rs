@@ -7,7 +7,7 @@
 //! be promised with lower bounds of its cost and of what remains after it; it is made when its turn
 //! comes.
 //!
-//! Guarantees: with w = 0 and an h that never exceeds what is left to pay, a goal found is one of
+//! Guarantees: with w = 0, no patience with branches set, and an h that never exceeds what is left to pay, a goal found is one of
 //! least g + h among those within the depth allowed, up to [`TIE`]. The result is the same for the
 //! same answers of the world. Not guaranteed: that with w > 0 the goal is a cheapest one; that the
 //! search ends early when no goal exists, for which there are limits.
@@ -103,11 +103,20 @@ pub struct IdaOptions {
     pub most_steps: usize,
     /// States whose successors are asked for at most.
     pub most_expanded: usize,
+    /// States expanded in a branch of the start without coming nearer, before the next branch has
+    /// its turn; the rest of the branch waits for the next round. None searches each branch to its
+    /// end, as a cheapest path asks for.
+    pub branch_patience: Option<usize>,
 }
 
 impl Default for IdaOptions {
     fn default() -> Self {
-        IdaOptions { weight: 0.0, most_steps: usize::MAX, most_expanded: usize::MAX }
+        IdaOptions {
+            weight: 0.0,
+            most_steps: usize::MAX,
+            most_expanded: usize::MAX,
+            branch_patience: None,
+        }
     }
 }
 
@@ -187,6 +196,7 @@ pub fn ida<W: World>(
         limit: 0.0,
         next_limit: f64::INFINITY,
         best: Best { shortfall: f64::INFINITY, paid: 0.0, path: Vec::new(), node: 0 },
+        branch: Branch::default(),
     };
     let (start, _) = search.number(start, None, 0.0);
     search.consider(start, 0.0, &[], None);
@@ -195,10 +205,14 @@ pub fn ida<W: World>(
     let ending = loop {
         search.round += 1;
         search.next_limit = f64::INFINITY;
+        search.branch = Branch::default();
+        let before = search.expanded;
         match search.round(start)? {
             Some(ending) => break ending,
-            None if search.next_limit == f64::INFINITY => break Ending::Exhausted,
-            None => search.limit = search.next_limit,
+            None if search.next_limit < f64::INFINITY => search.limit = search.next_limit,
+            // Something waits for this round, unless nothing new was found in the last one.
+            None if search.branch.left && search.expanded > before => {}
+            None => break Ending::Exhausted,
         }
     };
     let remaining = search.nodes[search.best.node].seen.remaining;
@@ -239,6 +253,16 @@ struct Level {
     way: usize,
 }
 
+/// The branch of the start that is being searched.
+#[derive(Default)]
+struct Branch {
+    /// Its nearest state so far, and when that was found.
+    shortfall: f64,
+    since: usize,
+    /// Whether any branch was left early in this round.
+    left: bool,
+}
+
 struct Best<A> {
     shortfall: f64,
     paid: f64,
@@ -257,6 +281,7 @@ struct Search<'a, W: World> {
     limit: f64,
     next_limit: f64,
     best: Best<W::Action>,
+    branch: Branch,
 }
 
 impl<W: World> Search<'_, W> {
@@ -295,6 +320,9 @@ impl<W: World> Search<'_, W> {
     /// Keeps the path to a state when it ends nearer to a goal than any before.
     fn consider(&mut self, node: usize, paid: f64, path: &[Level], last: Option<&W::Action>) {
         let shortfall = self.nodes[node].seen.shortfall;
+        if shortfall < self.branch.shortfall {
+            (self.branch.shortfall, self.branch.since) = (shortfall, self.expanded);
+        }
         let better = shortfall < self.best.shortfall
             || shortfall == self.best.shortfall && paid < self.best.paid;
         if better {
@@ -318,7 +346,17 @@ impl<W: World> Search<'_, W> {
         if let Some(ending) = self.enter(start, 0.0, &mut path)? {
             return Ok(Some(ending));
         }
-        while let Some(level) = path.last_mut() {
+        while !path.is_empty() {
+            let vain = self.expanded - self.branch.since;
+            if path.len() > 1 && self.options.branch_patience.is_some_and(|p| vain > p) {
+                self.branch.left = true;
+                path.truncate(1);
+            }
+            if path.len() == 1 {
+                self.branch.shortfall = f64::INFINITY;
+                self.branch.since = self.expanded;
+            }
+            let Some(level) = path.last_mut() else { break };
             let Some((f, way)) = level.left.pop() else {
                 path.pop();
                 continue;

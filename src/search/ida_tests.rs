@@ -150,6 +150,14 @@ proptest! {
     }
 
     #[test]
+    fn leaving_branches_early_loses_no_goal(g in graph(), patience in 0usize..4) {
+        let options =
+            IdaOptions { weight: 1.0, most_steps: 9, branch_patience: Some(patience), ..Default::default() };
+        let found = ida(&g, 0, &options, &mut |_| true).unwrap();
+        prop_assert_eq!(found.ending == Ending::Goal, g.cheapest(0, 0.0, 9).is_some());
+    }
+
+    #[test]
     fn a_stopped_search_gives_the_path_that_ends_nearest(g in graph(), stop in 0usize..6) {
         let options = IdaOptions { most_expanded: stop, ..IdaOptions::default() };
         let found = ida(&g, 0, &options, &mut |_| true).unwrap();

@@ -110,7 +110,7 @@ impl Default for Options {
             most_steps: 10,
             rotations: Rotations::Seven,
             overhang_deg: 45.0,
-            least_share: 1e-4,
+            least_share: LEAST_SHARE * crate::base::tolerance::DEVIATION,
             tool_costs: Vec::new(),
             tight_bound: false,
             patience: Some(PATIENCE),
@@ -119,9 +119,16 @@ impl Default for Options {
     }
 }
 
+/// Share of δ that an action moves at least: smaller ones make many plans and none better.
+pub const LEAST_SHARE: f64 = 0.1;
+
 /// Expansions without a state nearer to the target: a plan that gets there mostly does within a
 /// dozen.
 const PATIENCE: usize = 40;
+
+/// Expansions without coming nearer before the search tries another first step: a first step that
+/// leads into a dead end would otherwise be turned over for long.
+const BRANCH_PATIENCE: usize = 6;
 
 /// What a run tells beside its plan.
 #[derive(Clone, Debug, PartialEq)]
@@ -156,6 +163,8 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         weight: options.weight,
         most_steps: options.most_steps,
         most_expanded: usize::MAX,
+        // A cheapest plan asks for all of every branch.
+        branch_patience: (options.weight > 0.0).then_some(BRANCH_PATIENCE),
     };
     ctx.begin("searching", 0);
     let mut why = None;
