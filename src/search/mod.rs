@@ -1,7 +1,7 @@
 //! Domain-free search engines, tested on toy problems with known optima.
 //!
 //! Guarantees: [`set_cover`] returns a proven optimum of the weighted set-cover problem;
-//! [`ida`] a cheapest path when its estimate never exceeds what is left. Not guaranteed: anything
+//! [`ida()`] a cheapest path when its estimate never exceeds what is left. Not guaranteed: anything
 //! about ties beyond their being broken the same way every time.
 
 mod cover;

@@ -10,11 +10,11 @@
 //! | U, V, A* | `filling` | what stands by itself, what supports, what is accessible and stands |
 //! | φ: OC, UC, UF, OF | `world::Action` | over-/under-cut, under-/over-fill |
 //! | λ, w, δ | [`Options`] | c_SM/c_AM, weight of the estimate, deviation of a goal |
-//! | f = g + (1 + w) h | [`crate::search::ida`] | cost so far and estimate |
+//! | f = g + (1 + w) h | [`crate::search::ida()`] | cost so far and estimate |
 //!
 //! Stages, in the paper's order: actions (Sec. 4: `cutting`, `undercut`, `filling`; cuts by tools of
 //! any shape: `shaped`), the space of
-//! plans (Sec. 5: `world`), costs (Sec. 6.1: `cost`), search (Sec. 6: [`crate::search::ida`]), and
+//! plans (Sec. 5: `world`), costs (Sec. 6.1: `cost`), search (Sec. 6: [`crate::search::ida()`]), and
 //! the plan's steps (here).
 //!
 //! What differs from the paper, and why:
