@@ -5,10 +5,11 @@
 //! any direction while O stands. A voxel x is removed at some step by a tool at a position free of
 //! that step's output. Tools go up without end and never narrow, so the tool holds all that lies
 //! straight above x along its direction, and all n_d(x) voxels of O there have been removed by then;
-//! at least one of O has, or x were reached while O stands. Each of them is paid for: c_SM when it went, and c_AM when it is added again or, missing at the end, is charged. The
-//! estimate of Eq. 39 charges P₀ − P and P − P₀ alone, so this comes on top of it. A goal may leave
-//! at most ⌊δ |P|⌋ voxels off, hence of X at least |X| − ⌊δ |P|⌋ are removed, and with m(x) the
-//! least max(n_d(x), 1) over all directions, at least as many voxels are sacrificed as the
+//! at least one of O has, or x were reached while O stands. Each of them is paid for: c_SM when it
+//! went, and c_AM when it is added again or, missing at the end, is charged. The estimate of Eq. 39
+//! charges P₀ − P and P − P₀ alone, so this comes on top of it. A goal may leave at most ⌊δ |P|⌋
+//! voxels off, hence of X at least |X| − ⌊δ |P|⌋ are removed, and with m(x) the least
+//! max(n_d(x), 1) over all directions, at least as many voxels are sacrificed as the
 //! (|X| − ⌊δ |P|⌋)-th smallest m(x) says.
 
 use super::cutting::reached;
