@@ -225,7 +225,7 @@ proptest! {
 #[test]
 fn contacts_that_are_shared_cost_no_more_than_each_point_its_own() {
     let dims = [16, 12, 12];
-    let target = BitGrid::from_fn(dims, |[x, _, z]| z < 3 || z > 7 || x < 3);
+    let target = BitGrid::from_fn(dims, |[x, _, z]| !(3..=7).contains(&z) || x < 3);
     let state = BitGrid::from_fn(dims, |_| true);
     let job = job(state.clone(), target.clone());
     let view = &View::all(&job)[0];
