@@ -80,7 +80,10 @@ fn bad_flags_are_bad_usage() {
         (&["--sm-tool", "no-such-tool"], "no-such-tool"),
         (&["--sm-tool", "w2v-nozzle"], "no cutter"),
         (&["--am-tool", "w2v-nozzle", "--am-tool", "w2v-nozzle"], "twice"),
-        (&["--planner", "search"], "planner search is not in version"),
+        (&["--trace", "tree.tsv"], "only planner search"),
+        (&["--planner", "search", "--rotations", "8"], "possible values"),
+        (&["--planner", "search", "--tool-cost", "long-cutter"], "TOOL=F"),
+        (&["--planner", "search", "--delta=-1"], "not below 0"),
         (&["--planner", "blocks"], "planner blocks is not in version"),
         (&["--nonsense"], "--nonsense"),
         (&["-q", "-v"], "cannot be used with"),
@@ -133,6 +136,51 @@ fn one_part_is_nullified_unless_told_otherwise() {
     let mut command = hmplan();
     command.args(["plan", "fixtures/bearing_target.obj", "--planner", "reman", "-o"]);
     refused(command.arg(out.path().join("e")), "give INITIAL and TARGET");
+}
+
+#[test]
+fn the_search_says_what_its_plan_costs_and_verifies() {
+    let out = tempfile::tempdir().unwrap();
+    let (dir, tree) = (out.path().join("d"), out.path().join("tree.tsv"));
+    let search = |dir: &Path| {
+        let mut command = hmplan();
+        command.args(["plan", "fixtures/block_bracket_initial.obj"]);
+        command.args([
+            "fixtures/block_bracket_target.obj",
+            "--setup",
+            "keep",
+            "--planner",
+            "search",
+        ]);
+        command.args(["--resolution", "1", "--holding", "refixture", "--base", "none", "--json"]);
+        command.arg("-o").arg(dir);
+        command
+    };
+    let done = search(&dir).arg("--trace").arg(&tree).assert().code(0).get_output().stdout.clone();
+    let summary: serde_json::Value = serde_json::from_slice(&done).unwrap();
+    assert_eq!((&summary["planner"], &summary["verified"]), (&"search".into(), &true.into()));
+    // Nothing but what is too much is cut.
+    assert_eq!(summary["cost"], summary["cost_lower_bound"]);
+    assert!(summary["states_expanded"].as_u64().unwrap() > 0);
+    let plan: serde_json::Value =
+        serde_json::from_slice(&fs::read(dir.join("plan.json")).unwrap()).unwrap();
+    assert_eq!(plan["command"]["search"]["rotations"], 7);
+    for step in plan["steps"].as_array().unwrap() {
+        assert_eq!(step["origin"]["action"], "OC");
+    }
+    let tree = fs::read_to_string(&tree).unwrap();
+    assert!(
+        tree.starts_with("state\tfrom\taction") && tree.lines().any(|l| l.contains("\ttrue\t"))
+    );
+    hmplan().arg("verify").arg(&dir).assert().code(0);
+
+    // One step does not get there: the nearest plan, and why.
+    let short = out.path().join("e");
+    let done =
+        search(&short).args(["--max-steps", "1"]).assert().code(2).get_output().stdout.clone();
+    let summary: serde_json::Value = serde_json::from_slice(&done).unwrap();
+    assert!(summary["residual_mm3"].as_f64().unwrap() > 0.0);
+    assert!(summary["notes"].to_string().contains("nearer"), "{}", summary["notes"]);
 }
 
 #[test]

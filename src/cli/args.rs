@@ -102,6 +102,34 @@ pub struct PlanArgs {
     /// Seed of every random choice: same input and seed, same plan
     #[arg(long, default_value_t = 0, value_name = "N", help_heading = "Search")]
     pub seed: u64,
+    /// What planner search pays for removing a volume, adding it being 1 (λ = c_SM/c_AM)
+    #[arg(long, default_value_t = 0.1, value_name = "F", value_parser = not_negative, help_heading = "Search")]
+    pub lambda: f64,
+    /// Cost of one tool of planner search in the same measure; may be repeated
+    #[arg(long, value_name = "TOOL=F", value_parser = tool_cost, help_heading = "Search")]
+    pub tool_cost: Vec<(String, f64)>,
+    /// How much more planner search weighs what is left than what was paid (w); 0 finds the cheapest
+    #[arg(long, default_value_t = 1.0, value_name = "F", value_parser = not_negative, help_heading = "Search")]
+    pub weight: f64,
+    /// Fraction of the target by which a plan of planner search may be off (δ)
+    #[arg(long, default_value_t = 0.01, value_name = "F", value_parser = not_negative, help_heading = "Search")]
+    pub delta: f64,
+    /// Most steps of a plan of planner search
+    #[arg(long, default_value_t = 10, value_name = "N",
+          value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Search")]
+    pub max_steps: u32,
+    /// Relative rotations from step to step of planner search: by a quarter turn at most, or all
+    #[arg(long, default_value = "7", value_name = "7|24", value_parser = ["7", "24"], help_heading = "Search")]
+    pub rotations: String,
+    /// Overhang that carries itself in planner search, degrees; below 45 only columns do
+    #[arg(long, default_value_t = 45.0, value_name = "DEG", value_parser = not_negative, help_heading = "Search")]
+    pub overhang: f64,
+    /// Let the lower bound of planner search count what must be sacrificed
+    #[arg(long, help_heading = "Search")]
+    pub tight_bound: bool,
+    /// Write the tree of planner search too, one line a state
+    #[arg(long, value_name = "FILE", help_heading = "Search")]
+    pub trace: Option<PathBuf>,
     /// What planner nullify keeps small
     #[arg(long, value_enum, default_value_t = ObjectiveArg::Supports, help_heading = "Search")]
     pub objective: ObjectiveArg,
@@ -397,6 +425,12 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(v) if v.is_finite() && v > 0.0 => Ok(v),
         _ => Err("give a number above 0".into()),
     }
+}
+
+/// A tool's name and a finite number not below 0.
+fn tool_cost(text: &str) -> Result<(String, f64), String> {
+    let (tool, cost) = text.rsplit_once('=').ok_or("give TOOL=F, as long-cutter=0.2")?;
+    Ok((tool.into(), not_negative(cost)?))
 }
 
 /// A finite number not below 0.

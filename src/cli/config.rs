@@ -6,8 +6,8 @@ use super::exit::Failure;
 use super::profiles;
 use hmplan::base::DMat3;
 use hmplan::machine::{BaseKind, HoldingMode, Machine, Tool, ToolKind};
-use hmplan::plan::Command;
-use hmplan::planner::{nullify, reman, setup};
+use hmplan::plan::{Command, SearchCommand};
+use hmplan::planner::{hybrid, nullify, reman, setup};
 use std::path::{Path, PathBuf};
 
 /// One part as it is to be read.
@@ -48,8 +48,12 @@ pub struct PlanConfig {
     pub time_limit_s: Option<f64>,
     pub seed: u64,
     pub post_unverified: bool,
-    /// What planner nullify is told; None for planner reman.
+    /// What planner nullify is told; None for the others.
     pub nullify: Option<nullify::Options>,
+    /// What planner search is told; None for the others.
+    pub search: Option<hybrid::Options>,
+    /// Where planner search writes its tree.
+    pub trace: Option<PathBuf>,
     pub schedule: Option<PathBuf>,
 }
 
@@ -57,7 +61,22 @@ impl PlanConfig {
     /// What the plan file records of it.
     pub fn command(&self) -> Command {
         Command {
-            planner: if self.nullify.is_some() { "nullify" } else { "reman" }.into(),
+            planner: match (&self.nullify, &self.search) {
+                (Some(_), _) => "nullify",
+                (None, Some(_)) => "search",
+                (None, None) => "reman",
+            }
+            .into(),
+            search: self.search.as_ref().map(|s| SearchCommand {
+                lambda: s.lambda,
+                weight: s.weight,
+                delta: s.delta,
+                most_steps: s.most_steps,
+                rotations: s.rotations.count(),
+                overhang_deg: s.overhang_deg,
+                tool_costs: s.tool_costs.clone(),
+                tight_bound: s.tight_bound,
+            }),
             setup: match self.setup {
                 Setup::Search => "search",
                 Setup::Keep => "keep",
@@ -75,7 +94,10 @@ impl PlanConfig {
 /// A planner this build lacks, a machine or tool that does not load, a tool of the wrong kind.
 pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
     let (initial, target, nullified) = match (args.planner, args.parts.as_slice()) {
-        (None | Some(Planner::Reman), [initial, target]) => (Some(initial), target, false),
+        (None | Some(Planner::Reman | Planner::Search), [initial, target]) => {
+            (Some(initial), target, false)
+        }
+        (Some(Planner::Search), [target]) => (None, target, false),
         (Some(Planner::Nullify), [initial, target]) => (Some(initial), target, true),
         (None | Some(Planner::Nullify), [target]) => (None, target, true),
         (Some(Planner::Reman), _) => {
@@ -84,7 +106,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
                  and TARGET",
             ));
         }
-        (None | Some(Planner::Nullify), _) => {
+        (None | Some(Planner::Nullify | Planner::Search), _) => {
             return Err(Failure::input("give TARGET, or INITIAL and TARGET"));
         }
         (Some(planner), _) => return Err(no_such_planner(planner)),
@@ -162,8 +184,42 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
             seed: args.seed,
             ..nullify::Options::default()
         }),
+        search: search(args)?,
+        trace: args.trace.clone(),
         schedule: schedule(args, nullified)?,
     })
+}
+
+/// What planner search is told.
+///
+/// # Errors
+/// A tree asked of a planner that has none.
+fn search(args: &PlanArgs) -> Result<Option<hybrid::Options>, Failure> {
+    if args.planner != Some(Planner::Search) {
+        return match &args.trace {
+            Some(_) => {
+                Err(Failure::input("only planner search has a tree to write; add --planner search"))
+            }
+            None => Ok(None),
+        };
+    }
+    let usual = hybrid::Options::default();
+    Ok(Some(hybrid::Options {
+        lambda: args.lambda,
+        weight: args.weight,
+        delta: args.delta,
+        most_steps: args.max_steps as usize,
+        rotations: match args.rotations.as_str() {
+            "24" => hybrid::Rotations::All,
+            _ => hybrid::Rotations::Seven,
+        },
+        overhang_deg: args.overhang,
+        tool_costs: args.tool_cost.clone(),
+        tight_bound: args.tight_bound,
+        least_share: hybrid::LEAST_SHARE * args.delta,
+        patience: usual.patience.filter(|_| args.time_limit.is_none()),
+        ..usual
+    }))
 }
 
 /// # Errors
@@ -197,7 +253,7 @@ fn no_such_planner(planner: Planner) -> Failure {
         Planner::Blocks => "blocks",
     };
     Failure::Input(format!(
-        "planner {name} is not in version {}; use --planner reman or nullify",
+        "planner {name} is not in version {}; use --planner reman, search or nullify",
         env!("CARGO_PKG_VERSION")
     ))
 }

@@ -9,7 +9,7 @@ use hmplan::gcode::{self, CheckReport, PostError, Program};
 use hmplan::mesh::TriMesh;
 use hmplan::plan::{Job, Plan, PlanFile, Schedule};
 use hmplan::planner::setup::{SetupOptions, SetupReport};
-use hmplan::planner::{PlanError, nullify, reman, setup};
+use hmplan::planner::{PlanError, hybrid, nullify, reman, setup};
 use hmplan::report::{PlannerFigures, RuleLine};
 use hmplan::toolpath::{self, ToolpathError};
 use hmplan::verify::Verdict;
@@ -24,6 +24,16 @@ pub struct Posted {
     pub deposited_mm3: f64,
     pub removed_mm3: f64,
     pub rules: Vec<RuleLine>,
+}
+
+/// What a planner gives.
+pub struct Planned {
+    pub plan: Plan,
+    pub figures: PlannerFigures,
+    /// Of planner nullify.
+    pub schedule: Option<Schedule>,
+    /// Of planner search.
+    pub trace: Option<String>,
 }
 
 /// Searches the place of the target in the initial part, both standing.
@@ -48,9 +58,12 @@ pub fn plan(
     config: &PlanConfig,
     ctx: &Ctx,
     clock: &mut Clock,
-) -> Result<(Plan, PlannerFigures, Option<Schedule>), Failure> {
+) -> Result<Planned, Failure> {
     if let Some(options) = &config.nullify {
         return nullified(job, options, config.schedule.is_some(), ctx, clock);
+    }
+    if let Some(options) = &config.search {
+        return searched(job, options, ctx, clock);
     }
     let (plan, report) = reman::plan(job, &config.reman, ctx).map_err(failure)?;
     for (stage, seconds) in &report.seconds {
@@ -69,7 +82,25 @@ pub fn plan(
         notes: report.notes,
         ..PlannerFigures::default()
     };
-    Ok((plan, figures, None))
+    Ok(Planned { plan, figures, schedule: None, trace: None })
+}
+
+fn searched(
+    job: &Job,
+    options: &hybrid::Options,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Planned, Failure> {
+    let (plan, r) = clock.time("search", || hybrid::plan(job, options, ctx)).map_err(failure)?;
+    let figures = PlannerFigures {
+        planner: "search".into(),
+        cost: Some(r.cost),
+        cost_lower_bound: Some(r.bound),
+        states_expanded: Some(r.expanded),
+        notes: r.notes,
+        ..PlannerFigures::default()
+    };
+    Ok(Planned { plan, figures, schedule: None, trace: Some(r.trace) })
 }
 
 fn nullified(
@@ -78,7 +109,7 @@ fn nullified(
     scheduled: bool,
     ctx: &Ctx,
     clock: &mut Clock,
-) -> Result<(Plan, PlannerFigures, Option<Schedule>), Failure> {
+) -> Result<Planned, Failure> {
     let (plan, s) = clock.time("search", || nullify::plan(job, options, ctx)).map_err(failure)?;
     let schedule = match scheduled {
         true => Some(Schedule::new(s.dims, &s.operations).map_err(Failure::input)?),
@@ -98,7 +129,7 @@ fn nullified(
         notes,
         ..PlannerFigures::default()
     };
-    Ok((plan, figures, schedule))
+    Ok(Planned { plan, figures, schedule, trace: None })
 }
 
 fn failure(e: PlanError) -> Failure {

@@ -11,8 +11,8 @@ use hmplan::base::{Ctx, DAffine3};
 use hmplan::machine::Tool;
 use hmplan::mesh::write_stl;
 use hmplan::plan::{
-    Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Schedule, Seconds, StepKind,
-    Summary, end_state,
+    Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Seconds, StepKind, Summary,
+    end_state,
 };
 use hmplan::report;
 use hmplan::verify::verify;
@@ -54,7 +54,8 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     let ctx = context(output, config.time_limit_s, config.seed)?;
     let Prepared { job, inputs, notes } = prepare(config, &ctx, &mut clock)?;
 
-    let (plan, mut figures, schedule) = pipeline::plan(&job, config, &ctx, &mut clock)?;
+    let planned = pipeline::plan(&job, config, &ctx, &mut clock)?;
+    let pipeline::Planned { plan, mut figures, schedule, trace } = planned;
     figures.notes.splice(0..0, notes);
     figures.notes.extend(inputs::below_base(&job));
     let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
@@ -113,7 +114,10 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     ctx.check()?;
     draft.publish()?;
     if let (Some(schedule), Some(path)) = (&schedule, &config.schedule) {
-        write_schedule(schedule, path)?;
+        write_beside(path, |out| schedule.write(out))?;
+    }
+    if let (Some(trace), Some(path)) = (&trace, &config.trace) {
+        write_beside(path, |out| out.write_all(trace.as_bytes()))?;
     }
     let location = report::residual_location(&job, &verdict);
     summary::show(&file, &rules, location.as_deref(), output)?;
@@ -195,6 +199,7 @@ fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<Prepared
     rules.base = config.rules.base;
     rules.tolerance_mm = config.rules.tolerance_mm.unwrap_or(rules.tolerance_mm);
     rules.grip_mm = config.rules.grip_mm.unwrap_or(rules.grip_mm);
+    rules.deviation = config.search.as_ref().map_or(rules.deviation, |s| s.delta);
     let job = Job {
         frame,
         initial: initial_solid,
@@ -213,12 +218,15 @@ fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<Prepared
 /// States written at most; of longer plans every n-th.
 const MOST_STATES: usize = 200;
 
-/// Writes the schedule whole: to a sibling first, then renamed.
-fn write_schedule(schedule: &Schedule, path: &Path) -> Result<(), Failure> {
+/// Writes a file whole: to a sibling first, then renamed.
+fn write_beside(
+    path: &Path,
+    content: impl FnOnce(&mut dyn std::io::Write) -> std::io::Result<()>,
+) -> Result<(), Failure> {
     let failed = |e: std::io::Error| Failure::writing(path, &e);
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut out = std::io::BufWriter::new(tempfile::NamedTempFile::new_in(folder).map_err(failed)?);
-    schedule.write(&mut out).map_err(failed)?;
+    content(&mut out).map_err(failed)?;
     let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
     file.persist(path).map_err(|e| failed(e.error))?;
     Ok(())

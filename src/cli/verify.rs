@@ -238,6 +238,9 @@ fn claimed(s: &Summary) -> PlannerFigures {
         planes_local: s.planes_local,
         operations: s.operations,
         support_voxels: s.support_voxels,
+        cost: s.cost,
+        cost_lower_bound: s.cost_lower_bound,
+        states_expanded: s.states_expanded,
         notes: s.notes.clone(),
     }
 }

@@ -61,8 +61,30 @@ pub struct Command {
     pub resolution_mm: Option<f64>,
     pub iterations: usize,
     pub time_limit_s: Option<f64>,
+    /// What planner search was told; absent for the others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub search: Option<SearchCommand>,
     /// Whether a program is written for a plan that does not verify.
     pub post_unverified: bool,
+}
+
+/// Options of planner search.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SearchCommand {
+    /// What removing a volume costs, adding it being 1.
+    pub lambda: f64,
+    pub weight: f64,
+    pub delta: f64,
+    pub most_steps: usize,
+    /// Relative rotations a step: 7 or 24.
+    pub rotations: usize,
+    /// Overhang that carries itself, degrees.
+    pub overhang_deg: f64,
+    /// Costs of single tools by name.
+    pub tool_costs: Vec<(String, f64)>,
+    /// Whether the lower bound counts what must be sacrificed.
+    pub tight_bound: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

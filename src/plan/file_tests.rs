@@ -40,6 +40,7 @@ fn example() -> PlanFile {
             resolution_mm: None,
             iterations: 500,
             time_limit_s: None,
+            search: None,
             post_unverified: false,
         },
         inputs: Inputs { initial: Some(input("a.stl")), target: input("b.stl") },

@@ -4,6 +4,7 @@
 //! nothing it could not reach is hidden: the verifier measures what is missing. Not guaranteed:
 //! validity itself; only [`crate::verify`] says so.
 
+pub mod hybrid;
 pub mod nullify;
 pub mod reman;
 pub mod setup;

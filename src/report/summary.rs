@@ -23,6 +23,9 @@ pub struct PlannerFigures {
     pub planes_local: Option<usize>,
     pub operations: Option<usize>,
     pub support_voxels: Option<usize>,
+    pub cost: Option<f64>,
+    pub cost_lower_bound: Option<f64>,
+    pub states_expanded: Option<usize>,
     pub notes: Vec<String>,
 }
 
@@ -92,9 +95,9 @@ pub fn summarise(
         holdings: plan.holdings.len(),
         operations: planner.operations,
         support_voxels: planner.support_voxels,
-        cost: None,
-        cost_lower_bound: None,
-        states_expanded: None,
+        cost: planner.cost,
+        cost_lower_bound: planner.cost_lower_bound,
+        states_expanded: planner.states_expanded,
         excess_mm3: m.excess_mm3,
         deficit_mm3: m.deficit_mm3,
         deviation_relative: m.deviation_relative,

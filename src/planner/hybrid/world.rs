@@ -1,0 +1,288 @@
+//! The search space (HB Sec. 5): states, actions, and what follows from what.
+
+use super::Options;
+use super::cost::Costs;
+use super::cutting::over_cut;
+use super::filling::{Carry, open, over_fill, under_fill};
+use super::packed::Packed;
+use super::site::{AXES, Site, View, held};
+use super::undercut::{least_collateral, under_cut};
+use crate::base::{Cancelled, Ctx};
+use crate::machine::Tool;
+use crate::plan::{self, Job, StepKind};
+use crate::planner::reman::bridges::bridges;
+use crate::search::{Made, Successor, World};
+use crate::voxel::BitGrid;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// A cut that frees pieces is made again with bridges to them so often.
+const BRIDGE_ROUNDS: usize = 4;
+
+/// Overhang from which deposits may lean, degrees.
+const CONE_DEG: f64 = 45.0;
+
+/// A workpiece and how the last step held it.
+#[derive(Clone, Debug)]
+pub struct State {
+    solid: Packed,
+    /// P_n − P and P − P_n, voxels.
+    pub excess: usize,
+    pub deficit: usize,
+    /// The last direction, by its place in [`AXES`]; the first where it does not matter.
+    up: usize,
+}
+
+/// An action φ: what, with the job's n-th tool of its kind, along which of [`AXES`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Action {
+    pub action: plan::Action,
+    pub tool: usize,
+    pub axis: usize,
+}
+
+impl Action {
+    pub fn kind(&self) -> StepKind {
+        match self.action {
+            plan::Action::OC | plan::Action::UC => StepKind::Subtractive,
+            plan::Action::UF | plan::Action::OF => StepKind::Additive,
+        }
+    }
+}
+
+/// Everything the search asks about.
+pub struct Shop<'a> {
+    pub job: &'a Job,
+    pub costs: Costs,
+    views: Vec<View>,
+    carry: Carry,
+    /// Seven relative rotations a step: the direction opposite to the last is none of them.
+    relative: bool,
+    /// Actions that move fewer voxels are none.
+    least: usize,
+    bytes: AtomicUsize,
+    ctx: &'a Ctx,
+}
+
+impl<'a> Shop<'a> {
+    pub fn new(job: &'a Job, options: &Options, ctx: &'a Ctx) -> Shop<'a> {
+        let least = (options.least_share * job.target.count() as f64).ceil() as usize;
+        let cone = options.overhang_deg.min(job.rules.overhang_deg) >= CONE_DEG;
+        Shop {
+            job,
+            costs: Costs::new(job, options),
+            views: View::all(job),
+            carry: if cone { Carry::Cone } else { Carry::Column },
+            relative: options.rotations == super::Rotations::Seven,
+            least: least.max(1),
+            bytes: AtomicUsize::new(0),
+            ctx,
+        }
+    }
+
+    /// The state of a workpiece; `up` is the direction that made it.
+    pub fn state(&self, solid: &BitGrid, up: usize) -> State {
+        let common = solid.count_and(&self.job.target);
+        let packed = Packed::of(solid);
+        self.bytes.fetch_add(packed.bytes(), Ordering::Relaxed);
+        State {
+            solid: packed,
+            excess: solid.count() - common,
+            deficit: self.job.target.count() - common,
+            up: if self.relative { up } else { 0 },
+        }
+    }
+
+    /// Bytes that states made so far take.
+    pub fn bytes(&self) -> usize {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    pub fn views(&self) -> &[View] {
+        &self.views
+    }
+
+    pub fn view(&self, axis: usize) -> Option<&View> {
+        self.views.iter().find(|v| v.index == axis)
+    }
+
+    /// What an action changes in a workpiece; none when it can do nothing worth a step.
+    pub fn apply(&self, solid: &BitGrid, action: Action) -> Option<BitGrid> {
+        let view = self.view(action.axis)?;
+        let site = view.site(self.job, solid);
+        let region = match action.action {
+            plan::Action::OC => {
+                let tool = self.job.cutters.get(action.tool)?;
+                let excess = site.state.minus(&view.target);
+                self.held_cut(solid, &site, excess, tool)
+            }
+            plan::Action::UC => {
+                let tool = self.job.cutters.get(action.tool)?;
+                solid.minus(&view.down(&under_cut(self.job, &site, tool)?))
+            }
+            plan::Action::UF | plan::Action::OF => {
+                let tool = self.job.nozzles.get(action.tool)?;
+                let open = open(&site, tool, self.job.rules.nozzle_dip_mm);
+                self.filled(solid, &site, &open, action.action)
+            }
+        };
+        (region.count() >= self.least).then_some(region)
+    }
+
+    /// The over-cut of `removable` that lets nothing come loose, in the job's coordinates.
+    fn held_cut(&self, solid: &BitGrid, site: &Site, removable: BitGrid, tool: &Tool) -> BitGrid {
+        let mut removable = removable;
+        for _ in 0..BRIDGE_ROUNDS {
+            let region = site.view.down(&over_cut(site, &removable, tool).region);
+            if region.is_empty() {
+                return region;
+            }
+            match self.loosened(solid, &region) {
+                None => return region,
+                Some(ways) if ways.is_empty() => break,
+                Some(ways) => removable.subtract(&site.view.up(&ways)),
+            }
+        }
+        BitGrid::new(solid.dims())
+    }
+
+    /// Bridges to what a cut would free; none when it frees nothing.
+    fn loosened(&self, solid: &BitGrid, region: &BitGrid) -> Option<BitGrid> {
+        let standing = solid.minus(region);
+        let steady = held(self.job, &standing);
+        let loose = standing.minus(&steady);
+        (!loose.is_empty()).then(|| bridges(&steady, &loose, region))
+    }
+
+    /// A fill in the job's coordinates, less what would stand apart.
+    fn filled(
+        &self,
+        solid: &BitGrid,
+        site: &Site,
+        open: &BitGrid,
+        action: plan::Action,
+    ) -> BitGrid {
+        let region = match action {
+            plan::Action::OF => over_fill(site, open, self.carry),
+            _ => under_fill(site, open, self.carry),
+        };
+        let region = site.view.down(&region);
+        held(self.job, &solid.or(&region)).and(&region)
+    }
+
+    /// Everything that can be done along one direction.
+    fn along(&self, view: &View, solid: &BitGrid, of: &State) -> Vec<Successor<State, Action>> {
+        let mut out = Vec::new();
+        let site = view.site(self.job, solid);
+        let doing = |action, tool| Action { action, tool, axis: view.index };
+        // A part of the target is added to; one that holds it is cut.
+        if of.excess > 0 {
+            let excess = site.state.minus(&view.target);
+            for (n, tool) in self.job.cutters.iter().enumerate() {
+                let cut = over_cut(&site, &excess, tool);
+                let mut region = view.down(&cut.region);
+                if !region.is_empty() && self.loosened(solid, &region).is_some() {
+                    region = self.held_cut(solid, &site, excess.clone(), tool);
+                }
+                out.extend(self.made(doing(plan::Action::OC, n), solid, &region));
+                if region.count() < of.excess {
+                    out.extend(self.promised(doing(plan::Action::UC, n), &site, of, &cut.hidden));
+                }
+            }
+        }
+        if of.deficit > 0 {
+            for (n, tool) in self.job.nozzles.iter().enumerate() {
+                let open = open(&site, tool, self.job.rules.nozzle_dip_mm);
+                let under = self.filled(solid, &site, &open, plan::Action::UF);
+                let over = self.filled(solid, &site, &open, plan::Action::OF);
+                out.extend(self.made(doing(plan::Action::UF, n), solid, &under));
+                if over != under {
+                    out.extend(self.made(doing(plan::Action::OF, n), solid, &over));
+                }
+            }
+        }
+        out
+    }
+
+    fn made(
+        &self,
+        action: Action,
+        solid: &BitGrid,
+        region: &BitGrid,
+    ) -> Option<Successor<State, Action>> {
+        let voxels = region.count();
+        if voxels < self.least {
+            return None;
+        }
+        let after = match action.kind() {
+            StepKind::Subtractive => solid.minus(region),
+            StepKind::Additive => solid.or(region),
+        };
+        let cost = self.costs.moved(action.kind(), action.tool, voxels);
+        Some(Successor::Made(Made { action, cost, state: self.state(&after, action.axis) }))
+    }
+
+    /// An under-cut is dear, and mostly bad: it is made only when what it takes at least does not
+    /// rule it out.
+    fn promised(
+        &self,
+        action: Action,
+        site: &Site,
+        of: &State,
+        hidden: &BitGrid,
+    ) -> Option<Successor<State, Action>> {
+        let tool = self.job.cutters.get(action.tool)?;
+        let least = if hidden.is_empty() { 0 } else { least_collateral(site, hidden, tool) };
+        Some(Successor::Promised {
+            action,
+            cost_at_least: self.costs.moved(action.kind(), action.tool, of.excess + least),
+            remaining_at_least: self.costs.remaining(0, of.deficit + least),
+        })
+    }
+}
+
+impl World for Shop<'_> {
+    type State = State;
+    type Action = Action;
+    type Error = Cancelled;
+
+    fn key(&self, state: &State) -> u128 {
+        state.solid.key() ^ (state.up as u128)
+    }
+
+    fn remaining(&self, state: &State) -> f64 {
+        self.costs.remaining(state.excess, state.deficit)
+    }
+
+    fn is_goal(&self, state: &State) -> bool {
+        self.costs.is_goal(state.excess, state.deficit)
+    }
+
+    fn shortfall(&self, state: &State) -> f64 {
+        (state.excess + state.deficit) as f64
+    }
+
+    fn successors(&self, state: &State) -> Result<Vec<Successor<State, Action>>, Cancelled> {
+        self.ctx.check()?;
+        let solid = state.solid.grid();
+        let opposite = AXES[state.up].opposite();
+        let views: Vec<&View> =
+            self.views.iter().filter(|v| !self.relative || v.direction != opposite).collect();
+        let ways: Vec<Vec<Successor<State, Action>>> = views
+            .par_iter()
+            .map(|view| {
+                self.ctx.check()?;
+                Ok(self.along(view, &solid, state))
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        Ok(ways.into_iter().flatten().collect())
+    }
+
+    fn make(&self, state: &State, action: &Action) -> Result<Option<(f64, State)>, Cancelled> {
+        self.ctx.check()?;
+        let solid = state.solid.grid();
+        let Some(region) = self.apply(&solid, *action) else { return Ok(None) };
+        let cost = self.costs.moved(action.kind(), action.tool, region.count());
+        Ok(Some((cost, self.state(&solid.minus(&region), action.axis))))
+    }
+}
