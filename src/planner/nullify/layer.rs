@@ -21,7 +21,7 @@ const FIRST: i32 = 40;
 
 /// Demands that a tree ending in the air must serve for each such end, on average. Fewer, and its
 /// way sideways costs more than ledges would; more, and sheets of ledges follow the top down.
-const FEWEST: usize = 4;
+const FEWEST: usize = 3;
 
 /// What a way sideways to the ground costs to begin, in cells: for each layer it begins above the
 /// tool's full reach, since it wants carriers of its own as soon as the top comes down to it, and

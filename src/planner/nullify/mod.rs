@@ -30,7 +30,9 @@ mod layer;
 mod ledge;
 #[cfg(test)]
 mod naive_tests;
+mod order;
 mod patches;
+mod prune;
 mod workpiece;
 
 use super::PlanError;
@@ -110,7 +112,7 @@ impl Default for Options {
     fn default() -> Options {
         Options {
             length: 10,
-            minimum_feature: 10,
+            minimum_feature: 1,
             support_ahead: false,
             objective: Objective::Supports,
             seed: 0,
@@ -191,6 +193,7 @@ fn nullified(
         return Err(NullifyError::Unstable { loose, solid, first }.into());
     }
     n.w.floor = kept.map_or(0, |k| k.floor as i32);
+    let bare = n.b.clone();
     if options.support_ahead {
         n.support_ahead();
     }
@@ -210,12 +213,18 @@ fn nullified(
         ctx.advance(1);
     }
     ctx.end();
-    Ok(Ok(forward(&n)))
+    let deeds = prune::pruned(&n.w, &bare, &n.deeds);
+    let floor = n.w.floor;
+    drop((n, bare));
+    let mut w = Workpiece::new(target, options.length);
+    w.floor = floor;
+    let deeds = order::gathered(&mut w, &deeds);
+    Ok(Ok(forward(&w, &deeds)))
 }
 
 /// The operations in the order of fabrication, cuts in as few turns of the cutter as possible.
-fn forward(n: &Nullifier) -> Vec<Operation> {
-    let mut operations: Vec<Operation> = Vec::with_capacity(n.deeds.len());
+fn forward(w: &Workpiece, deeds: &[(Cell, Undoing)]) -> Vec<Operation> {
+    let mut operations: Vec<Operation> = Vec::with_capacity(deeds.len());
     // Cuts since the last turn, and the orientations that serve all of them.
     let (mut run, mut common) = (0, Ways::ALL);
     let turn = |operations: &mut Vec<Operation>, run: usize, common: Ways| {
@@ -223,8 +232,8 @@ fn forward(n: &Nullifier) -> Vec<Operation> {
         let from = operations.len() - run;
         operations[from..].iter_mut().for_each(|op| op.deed = Deed::Cut(way));
     };
-    for (cell, undoing) in n.deeds.iter().rev() {
-        let voxel = n.w.voxel(*cell).map(|c| c as u16);
+    for (cell, undoing) in deeds.iter().rev() {
+        let voxel = w.voxel(*cell).map(|c| c as u16);
         match undoing {
             Undoing::Eroded => {
                 turn(&mut operations, run, common);
