@@ -23,8 +23,9 @@ const UNCARRIED: u32 = 1;
 /// Ways that may fail before the search is confined.
 const ATTEMPTS: usize = 6;
 
-/// Cells looked at before a search gives up and the next begins.
-const MOST_VISITS: usize = 200_000;
+/// Cells looked at before a search gives up and the confined one begins. Fewer, and sheets of
+/// support creep along under the top layer; more, and time is lost where no way is.
+const MOST_VISITS: usize = 10_000;
 
 /// The same for a tree that ends in the air: a longer way is not worth the tree.
 pub(super) const NEAR_VISITS: usize = 3_000;

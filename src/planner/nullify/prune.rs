@@ -17,11 +17,11 @@ use super::layer::Undoing;
 use super::workpiece::{Cell, Workpiece};
 
 /// Sweeps over all supports at most.
-const SWEEPS: usize = 4;
+const SWEEPS: usize = 3;
 
 /// Cells that one search may visit. Fewer, and long ways round are not found; more, and supports
 /// that are needed cost time for nothing.
-const MOST_VISITS: usize = 400;
+const MOST_VISITS: usize = 120;
 
 const NEVER: u32 = u32::MAX;
 
