@@ -93,7 +93,7 @@ pub struct PlanArgs {
     /// Seed of every random choice: same input and seed, same plan
     #[arg(long, default_value_t = 0, value_name = "N", help_heading = "Search")]
     pub seed: u64,
-    /// What planner nullify keeps small
+    /// What planner nullify ranks its tries within --time-limit by
     #[arg(long, value_enum, default_value_t = ObjectiveArg::Supports, help_heading = "Search")]
     pub objective: ObjectiveArg,
     /// Cutter length of planner nullify in voxels, at least 2
