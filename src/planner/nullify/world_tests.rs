@@ -26,7 +26,7 @@ fn gyroid(n: usize) -> BitGrid {
 fn truss() -> BitGrid {
     let solid = BitGrid::from_fn([100, 20, 20], |[x, y, z]| {
         let side = y < 3 || y >= 17;
-        let chord = side && (z < 3 || z >= 17) && !(z < 3 && (5..95).contains(&x) && z == 0);
+        let chord = side && (z < 3 || z >= 17) && !(z == 0 && (5..95).contains(&x));
         let slope = (x % 40).min(39 - x % 40);
         let diagonal = side && slope.abs_diff(z) < 3;
         let cross = z >= 17 && x % 20 < 3;
