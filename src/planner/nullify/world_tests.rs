@@ -25,8 +25,8 @@ fn gyroid(n: usize) -> BitGrid {
 /// A beam of chords, posts and diagonals, standing on its two ends.
 fn truss() -> BitGrid {
     let solid = BitGrid::from_fn([100, 20, 20], |[x, y, z]| {
-        let side = y < 3 || y >= 17;
-        let chord = side && (z < 3 || z >= 17) && !(z == 0 && (5..95).contains(&x));
+        let side = !(3..17).contains(&y);
+        let chord = side && !(3..17).contains(&z) && !(z == 0 && (5..95).contains(&x));
         let slope = (x % 40).min(39 - x % 40);
         let diagonal = side && slope.abs_diff(z) < 3;
         let cross = z >= 17 && x % 20 < 3;
