@@ -130,7 +130,7 @@ pub struct PlanArgs {
     /// Write the tree of planner search too, one line a state
     #[arg(long, value_name = "FILE", help_heading = "Search")]
     pub trace: Option<PathBuf>,
-    /// What planner nullify keeps small
+    /// What planner nullify ranks its tries within --time-limit by
     #[arg(long, value_enum, default_value_t = ObjectiveArg::Supports, help_heading = "Search")]
     pub objective: ObjectiveArg,
     /// Cutter length of planner nullify in voxels, at least 2

@@ -13,6 +13,7 @@ use std::collections::BinaryHeap;
 /// Bottleneck of what is not connected to the base, or not solid.
 const NEVER: u16 = u16::MAX;
 
+#[derive(Clone)]
 pub(super) struct Bottleneck {
     heights: Vec<u16>,
 }
@@ -42,6 +43,11 @@ impl Bottleneck {
             buckets[height] = Vec::new();
         }
         b
+    }
+
+    /// b(v); none for what is not connected to the base.
+    pub fn height(&self, cell: Cell) -> Option<u16> {
+        Some(self.heights[cell as usize]).filter(|h| *h != NEVER)
     }
 
     /// Whether a solid cell is connected to the base at all.

@@ -14,7 +14,7 @@ use super::bottleneck::Bottleneck;
 use super::forest::carried;
 use super::workpiece::{Cell, Ways, Workpiece};
 use std::cmp::Reverse;
-use std::collections::{BinaryHeap, HashMap};
+use std::collections::BinaryHeap;
 
 /// Cells that one without a carrier costs later. Lower, and shelves creep under ceilings; higher,
 /// and ways run deep for nothing.
@@ -23,114 +23,167 @@ const UNCARRIED: u32 = 1;
 /// Ways that may fail before the search is confined.
 const ATTEMPTS: usize = 6;
 
-/// Cells looked at before a search gives up and the next begins.
-const MOST_VISITS: usize = 200_000;
+/// Cells looked at before a search gives up and the confined one begins. Fewer, and sheets of
+/// support creep along under the top layer; more, and time is lost where no way is.
+const MOST_VISITS: usize = 10_000;
 
 /// The same for a tree that ends in the air: a longer way is not worth the tree.
 pub(super) const NEAR_VISITS: usize = 3_000;
 
+/// Scratch space for all searches of one plan.
+pub(super) struct Detour {
+    /// Place of a cell in `visits`, plus one; 0 for cells not looked at.
+    place: Vec<u32>,
+    visits: Vec<Visit>,
+}
+
 struct Visit {
+    cell: Cell,
     cost: u32,
-    /// The cell before, toward the source; itself for a source.
-    from: Cell,
+    /// Place of the cell before, toward the source; its own for a source.
+    from: u32,
+    usable: bool,
     done: bool,
 }
 
-/// Accretes one way from any of `sources`, given with the cost of each, to grounded material; what was accreted, in order.
-pub(super) fn connect(
-    w: &mut Workpiece,
-    b: &mut Bottleneck,
-    sources: &[(Cell, u32)],
-) -> Vec<(Cell, Ways)> {
-    let added = connect_free(w, b, sources, MOST_VISITS);
-    if !added.is_empty() {
-        return added;
+impl Detour {
+    pub fn new(w: &Workpiece) -> Detour {
+        Detour { place: vec![0; w.len()], visits: Vec::new() }
     }
-    let usable = |w: &Workpiece, c| w.empty(c) && w.always_open(c);
-    let way = search(w, b, sources, usize::MAX, usable).unwrap_or_default();
-    let added = build(w, &way).unwrap_or_default();
-    b.accreted(w, &way[..added.len()]);
-    added
-}
 
-/// The same with no guarantee: nothing when no way is found or each one bars itself.
-pub(super) fn connect_free(
-    w: &mut Workpiece,
-    b: &mut Bottleneck,
-    sources: &[(Cell, u32)],
-    most_visits: usize,
-) -> Vec<(Cell, Ways)> {
-    let mut barred: Vec<Cell> = Vec::new();
-    for _ in 0..ATTEMPTS {
-        let usable = |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
-        let Some(way) = search(w, b, sources, most_visits, usable) else { break };
-        match build(w, &way) {
-            Ok(added) => {
-                b.accreted(w, &way);
-                return added;
+    /// Accretes one way from any of `sources`, given with the cost of each, to grounded material;
+    /// what was accreted, in order.
+    pub fn connect(
+        &mut self,
+        w: &mut Workpiece,
+        b: &mut Bottleneck,
+        sources: &[(Cell, u32)],
+    ) -> Vec<(Cell, Ways)> {
+        let added = self.connect_free(w, b, sources, MOST_VISITS);
+        if !added.is_empty() {
+            return added;
+        }
+        let usable = |w: &Workpiece, c| w.empty(c) && w.always_open(c);
+        let way = self.search(w, b, sources, usize::MAX, usable).unwrap_or_default();
+        let added = build(w, &way).unwrap_or_default();
+        b.accreted(w, &way[..added.len()]);
+        added
+    }
+
+    /// The same with no guarantee: nothing when no way is found or each one bars itself.
+    pub fn connect_free(
+        &mut self,
+        w: &mut Workpiece,
+        b: &mut Bottleneck,
+        sources: &[(Cell, u32)],
+        most_visits: usize,
+    ) -> Vec<(Cell, Ways)> {
+        let mut barred: Vec<Cell> = Vec::new();
+        for _ in 0..ATTEMPTS {
+            let usable = |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
+            let Some(way) = self.search(w, b, sources, most_visits, usable) else { break };
+            match build(w, &way) {
+                Ok(added) => {
+                    b.accreted(w, &way);
+                    return added;
+                }
+                Err(cell) => barred.push(cell),
             }
-            Err(cell) => barred.push(cell),
         }
+        Vec::new()
     }
-    Vec::new()
-}
 
-/// The cheapest way, from the ground to the source.
-fn search(
-    w: &Workpiece,
-    b: &Bottleneck,
-    sources: &[(Cell, u32)],
-    most_visits: usize,
-    usable: impl Fn(&Workpiece, Cell) -> bool,
-) -> Option<Vec<Cell>> {
-    let mut visits: HashMap<Cell, Visit> = HashMap::new();
-    let mut heap = BinaryHeap::new();
-    for &(s, cost) in sources {
-        if usable(w, s) {
-            visits.insert(s, Visit { cost, from: s, done: false });
-            heap.push(Reverse((cost, s, false)));
-        }
+    /// The cheapest way, from the ground to the source.
+    fn search(
+        &mut self,
+        w: &Workpiece,
+        b: &Bottleneck,
+        sources: &[(Cell, u32)],
+        most_visits: usize,
+        usable: impl Fn(&Workpiece, Cell) -> bool,
+    ) -> Option<Vec<Cell>> {
+        let way = self.run(w, b, sources, most_visits, usable).map(|ground| self.trace(ground));
+        self.visits.drain(..).for_each(|v| self.place[v.cell as usize] = 0);
+        way
     }
-    let offsets = w.offsets();
-    while let Some(Reverse((cost, cell, arrived))) = heap.pop() {
-        if arrived {
-            return Some(trace(&visits, cell));
+
+    /// Dijkstra's search; the visit it arrives with.
+    fn run(
+        &mut self,
+        w: &Workpiece,
+        b: &Bottleneck,
+        sources: &[(Cell, u32)],
+        most_visits: usize,
+        usable: impl Fn(&Workpiece, Cell) -> bool,
+    ) -> Option<u32> {
+        let mut heap = BinaryHeap::new();
+        for &(s, cost) in sources {
+            let v = self.visit(w, s, &usable);
+            let visit = &mut self.visits[v as usize];
+            if visit.usable && cost < visit.cost {
+                (visit.cost, visit.from) = (cost, v);
+                heap.push(Reverse((cost, s, false)));
+            }
         }
-        let known = visits.len();
-        let visit = visits.get_mut(&cell)?;
-        if visit.done || known > most_visits {
-            continue;
-        }
-        visit.done = true;
-        let has_carrier = w.height(cell) == 0 || carried(w, b, cell);
-        let near = offsets.map(|o| (cell as i32 + o) as Cell);
-        if w.height(cell) == 0 || near.iter().any(|n| b.grounded(*n, w.top)) {
-            heap.push(Reverse((cost + if has_carrier { 0 } else { UNCARRIED }, cell, true)));
-        }
-        let below = w.carriers(cell);
-        for n in near {
-            if w.height(n) >= w.top || !usable(w, n) {
+        let offsets = w.offsets();
+        while let Some(Reverse((cost, cell, arrived))) = heap.pop() {
+            let v = self.place[cell as usize] - 1;
+            if arrived {
+                return Some(v);
+            }
+            if self.visits.len() > most_visits {
+                return None;
+            }
+            if std::mem::replace(&mut self.visits[v as usize].done, true) {
                 continue;
             }
-            let step = if has_carrier || below.contains(&n) { 1 } else { 1 + UNCARRIED };
-            let new = Visit { cost: cost + step, from: cell, done: false };
-            if visits.get(&n).is_none_or(|v| v.cost > new.cost) {
-                heap.push(Reverse((new.cost, n, false)));
-                visits.insert(n, new);
+            let has_carrier = w.height(cell) == 0 || carried(w, b, cell);
+            let near = offsets.map(|o| (cell as i32 + o) as Cell);
+            if w.height(cell) == 0 || near.iter().any(|n| b.grounded(*n, w.top)) {
+                heap.push(Reverse((cost + if has_carrier { 0 } else { UNCARRIED }, cell, true)));
+            }
+            let below = w.carriers(cell);
+            for n in near {
+                if w.height(n) >= w.top {
+                    continue;
+                }
+                let step = if has_carrier || below.contains(&n) { 1 } else { 1 + UNCARRIED };
+                let v_n = self.visit(w, n, &usable);
+                let visit = &mut self.visits[v_n as usize];
+                if visit.usable && visit.cost > cost + step {
+                    (visit.cost, visit.from) = (cost + step, v);
+                    heap.push(Reverse((cost + step, n, false)));
+                }
             }
         }
+        None
     }
-    None
-}
 
-fn trace(visits: &HashMap<Cell, Visit>, ground: Cell) -> Vec<Cell> {
-    let mut way = vec![ground];
-    let mut at = ground;
-    while let Some(v) = visits.get(&at).filter(|v| v.from != at) {
-        at = v.from;
-        way.push(at);
+    /// The visit of a cell, a new one with no cost where there was none.
+    fn visit(
+        &mut self,
+        w: &Workpiece,
+        cell: Cell,
+        usable: &impl Fn(&Workpiece, Cell) -> bool,
+    ) -> u32 {
+        let place = &mut self.place[cell as usize];
+        if *place == 0 {
+            let (usable, from) = (usable(w, cell), self.visits.len() as u32);
+            self.visits.push(Visit { cell, cost: u32::MAX, from, usable, done: false });
+            *place = from + 1;
+        }
+        *place - 1
     }
-    way
+
+    fn trace(&self, ground: u32) -> Vec<Cell> {
+        let mut at = ground;
+        let mut way = vec![self.visits[at as usize].cell];
+        while self.visits[at as usize].from != at {
+            at = self.visits[at as usize].from;
+            way.push(self.visits[at as usize].cell);
+        }
+        way
+    }
 }
 
 /// Accretes the cells in order, or undoes all and names the one that cannot be reached.

@@ -31,7 +31,7 @@ const HANGING: u32 = 60;
 const SHALLOW: u32 = 50;
 
 /// Layers down to which ends in the air are looked for: beyond, the cutter seldom reaches.
-const REACH: i32 = 40;
+const REACH: i32 = 16;
 
 const UNREACHED: u32 = u32::MAX;
 

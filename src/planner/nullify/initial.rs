@@ -6,15 +6,17 @@
 //! part, and from which the target can be finished without supports below h, is taken; with V_R
 //! empty the part is taken off and the target made from nothing.
 //!
-//! The cut to V_R removes voxels one by one. In what is left every voxel keeps a neighbour that is
-//! nearer to V_R (or the base) by breadth-first distance in the initial part, so it stays stable.
+//! The cut to V_R removes voxels one by one. In what is left every voxel keeps a neighbour of lower
+//! rank, by a search from V_R and the base, so it stays stable. Where the cutter comes to nothing
+//! that may go, ranks are taken anew.
 
 use super::workpiece::{Cell, Workpiece};
 use super::{Kept, NullifyError, Options, PlanError, Sequence, check, nullified, patches};
 use crate::base::Ctx;
 use crate::plan::{Deed, Job, Operation};
 use crate::voxel::{BitGrid, Connectivity, flood};
-use std::collections::VecDeque;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 
 /// The box that planning needs of a job's grid: both parts, from the base plane up.
 struct Region {
@@ -138,56 +140,83 @@ fn largest_below(common: &BitGrid, target: &BitGrid, layer: usize) -> (usize, Bi
 /// Cuts that leave `kept` of `initial`; none when the cutter does not reach everything.
 fn freed(initial: &BitGrid, kept: &BitGrid, options: &Options) -> Option<Vec<Operation>> {
     let mut w = Workpiece::new(initial, options.length);
-    let distance = distances(&w, initial, kept)?;
     let mut left: Vec<Cell> =
         initial.minus(kept).iter_ones().map(|v| w.cell(v.map(|c| c as i32))).collect();
-    // What is furthest from V_R goes first, the highest of equals.
-    left.sort_unstable_by_key(|c| (std::cmp::Reverse(distance[*c as usize]), *c));
     let mut operations = Vec::with_capacity(left.len());
     while !left.is_empty() {
-        let before = left.len();
-        left.retain(|&cell| {
-            let way = w.ways(cell).any();
-            let Some(way) = way.filter(|_| spare(&w, &distance, cell)) else { return true };
-            w.remove(cell);
-            let voxel = w.voxel(cell).map(|c| c as u16);
-            operations.push(Operation { voxel, deed: Deed::Cut(way) });
-            false
-        });
-        if left.len() == before {
+        // What stands changes what hangs on what, so ranks are taken anew whenever none will do.
+        let rank = ranks(&w, kept);
+        left.sort_unstable_by_key(|c| (Reverse(rank[*c as usize]), *c));
+        if left.first().is_some_and(|c| rank[*c as usize] == LOOSE) {
+            return None;
+        }
+        let since = operations.len();
+        loop {
+            let before = left.len();
+            left.retain(|&cell| {
+                let way = w.ways(cell).any();
+                let Some(way) = way.filter(|_| spare(&w, &rank, cell)) else { return true };
+                w.remove(cell);
+                let voxel = w.voxel(cell).map(|c| c as u16);
+                operations.push(Operation { voxel, deed: Deed::Cut(way) });
+                false
+            });
+            if left.len() == before {
+                break;
+            }
+        }
+        if operations.len() == since {
             return None;
         }
     }
     Some(operations)
 }
 
-/// Whether every neighbour that is further keeps another that is nearer than itself.
-fn spare(w: &Workpiece, distance: &[u32], cell: Cell) -> bool {
-    let d = |c: Cell| distance[c as usize];
+/// Whether every neighbour of higher rank keeps another of lower rank than its own.
+fn spare(w: &Workpiece, rank: &[u32], cell: Cell) -> bool {
+    let r = |c: Cell| rank[c as usize];
     w.neighbours(cell)
         .into_iter()
-        .filter(|n| w.solid(*n) && d(*n) > d(cell))
-        .all(|n| w.neighbours(n).into_iter().any(|m| m != cell && w.solid(m) && d(m) < d(n)))
+        .filter(|n| w.solid(*n) && r(*n) > r(cell))
+        .all(|n| w.neighbours(n).into_iter().any(|m| m != cell && w.solid(m) && r(m) < r(n)))
 }
 
-/// Breadth-first distance from `kept` and the base layer; none when something hangs on neither.
-fn distances(w: &Workpiece, initial: &BitGrid, kept: &BitGrid) -> Option<Vec<u32>> {
-    let mut distance = vec![u32::MAX; w.len()];
-    let mut open = VecDeque::new();
-    let mut reached = 0;
-    for v in initial.iter_ones().filter(|v| v[2] == 0 || kept.get(*v)) {
-        let cell = w.cell(v.map(|c| c as i32));
-        distance[cell as usize] = 0;
-        open.push_back(cell);
+/// Rank of what does not hang together with the base or what is kept.
+const LOOSE: u32 = u32::MAX;
+
+/// In which order Dijkstra's search from `kept` and the base layer, both of rank 0, comes to the
+/// solid cells: by the fewest cells on the way that the cutter reaches now, then by the fewest at
+/// all. So what lies deep hangs, where it can, on what is deep too, and what is reached is free.
+fn ranks(w: &Workpiece, kept: &BitGrid) -> Vec<u32> {
+    let mut rank = vec![LOOSE; w.len()];
+    let mut best = vec![(u32::MAX, u32::MAX); w.len()];
+    let mut heap = BinaryHeap::new();
+    let keeps = |c: Cell| kept.get_or_empty(w.voxel(c).map(i64::from));
+    for cell in (0..w.dims()[2]).flat_map(|z| w.layer(z)) {
+        if w.height(cell) == 0 || keeps(cell) {
+            best[cell as usize] = (0, 0);
+            heap.push(Reverse(((0, 0), cell)));
+        }
     }
-    while let Some(cell) = open.pop_front() {
-        reached += 1;
+    let mut next = 0;
+    while let Some(Reverse((cost, cell))) = heap.pop() {
+        if rank[cell as usize] != LOOSE {
+            continue;
+        }
+        if cost != (0, 0) {
+            next += 1;
+        }
+        rank[cell as usize] = next;
         for n in w.neighbours(cell) {
-            if w.solid(n) && distance[n as usize] == u32::MAX {
-                distance[n as usize] = distance[cell as usize] + 1;
-                open.push_back(n);
+            if w.solid(n) && rank[n as usize] == LOOSE {
+                let reached = u32::from(w.access(n));
+                let new = (cost.0 + reached, cost.1 + 1);
+                if new < best[n as usize] {
+                    best[n as usize] = new;
+                    heap.push(Reverse((new, n)));
+                }
             }
         }
     }
-    (reached == initial.count()).then_some(distance)
+    rank
 }

@@ -9,7 +9,7 @@
 //! nothing is needy and the rest of the layer goes at once.
 
 use super::bottleneck::Bottleneck;
-use super::detour;
+use super::detour::{Detour, NEAR_VISITS};
 use super::forest::{Demand, Forest, carried};
 use super::ledge;
 use super::workpiece::{Cell, Ways, Workpiece};
@@ -21,7 +21,7 @@ const FIRST: i32 = 40;
 
 /// Demands that a tree ending in the air must serve for each such end, on average. Fewer, and its
 /// way sideways costs more than ledges would; more, and sheets of ledges follow the top down.
-const FEWEST: usize = 4;
+const FEWEST: usize = 3;
 
 /// What a way sideways to the ground costs to begin, in cells: for each layer it begins above the
 /// tool's full reach, since it wants carriers of its own as soon as the top comes down to it, and
@@ -35,6 +35,7 @@ pub(super) struct Nullifier {
     pub w: Workpiece,
     pub b: Bottleneck,
     pub forest: Forest,
+    detour: Detour,
     /// In the order of nullification: the reverse of fabrication.
     pub deeds: Vec<(Cell, Undoing)>,
     /// M of INV Sec. 5.2: fewer connected voxels are eroded only when nothing else helps.
@@ -81,8 +82,9 @@ impl Nullifier {
     pub fn new(w: Workpiece, minimum_feature: usize, seed: u64) -> Nullifier {
         let b = Bottleneck::new(&w);
         let forest = Forest::new(&w, seed);
+        let detour = Detour::new(&w);
         let label = vec![0; w.len()];
-        Nullifier { w, b, forest, deeds: Vec::new(), minimum_feature, label }
+        Nullifier { w, b, forest, detour, deeds: Vec::new(), minimum_feature, label }
     }
 
     /// INV Sec. 4.2: trees for every voxel that nothing carries, as far as the cutter reaches them
@@ -142,7 +144,7 @@ impl Nullifier {
                     continue;
                 }
                 let sources = self.sources(&survey, &clusters, &demands);
-                let way = detour::connect(&mut self.w, &mut self.b, &sources);
+                let way = self.detour.connect(&mut self.w, &mut self.b, &sources);
                 if way.is_empty() {
                     return Err(Stuck { layer: top, left: rest.len() });
                 }
@@ -191,11 +193,11 @@ impl Nullifier {
         let mut grown = Vec::new();
         for end in ends {
             if self.w.empty(end) {
-                grown.extend(detour::connect_free(
+                grown.extend(self.detour.connect_free(
                     &mut self.w,
                     &mut self.b,
                     &[(end, 0)],
-                    detour::NEAR_VISITS,
+                    NEAR_VISITS,
                 ));
             }
         }

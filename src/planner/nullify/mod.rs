@@ -13,7 +13,8 @@
 //!
 //! Stages: from the finished model backward, layer by layer from the top (`layer`); supports as
 //! trees (`forest`), ledges (`ledge`) and ways (`detour`); a non-empty beginning
-//! (`initial`); operations into steps (`patches`).
+//! (`initial`); what turned out needless left out (`prune`), deposits and cuts gathered (`order`);
+//! operations into steps (`patches`).
 //!
 //! What differs from the paper: stability is exact for the whole model (`bottleneck`) instead of
 //! within a window Δ; a layer is eroded as far as it goes before supports are grown, since erosion
@@ -30,8 +31,12 @@ mod layer;
 mod ledge;
 #[cfg(test)]
 mod naive_tests;
+mod order;
 mod patches;
+mod prune;
 mod workpiece;
+#[cfg(test)]
+mod world_tests;
 
 use super::PlanError;
 use crate::base::Ctx;
@@ -81,7 +86,8 @@ pub enum NullifyError {
     Stuck { layer: i32, left: usize },
 }
 
-/// What a plan should have little of.
+/// What a plan should have little of: by this the tries within a time limit are ranked. A single
+/// try is the same for all three.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Objective {
     #[default]
@@ -96,7 +102,8 @@ pub enum Objective {
 pub struct Options {
     /// L: voxels of the cutter below its half-space, at least 2.
     pub length: u32,
-    /// M: voxels that are deposited together where possible.
+    /// M: patches of fewer voxels are eroded only when nothing else helps. INV takes 10; 1 saves an
+    /// eighth of the supports on large models, and gathering joins patches afterwards.
     pub minimum_feature: usize,
     /// Whether supports that the finished model leaves room for are grown first (Sec. 4.2). They
     /// are cut last, so there are fewer tool changes; later they might have been fewer.
@@ -110,7 +117,7 @@ impl Default for Options {
     fn default() -> Options {
         Options {
             length: 10,
-            minimum_feature: 10,
+            minimum_feature: 1,
             support_ahead: false,
             objective: Objective::Supports,
             seed: 0,
@@ -191,6 +198,7 @@ fn nullified(
         return Err(NullifyError::Unstable { loose, solid, first }.into());
     }
     n.w.floor = kept.map_or(0, |k| k.floor as i32);
+    let bare = n.b.clone();
     if options.support_ahead {
         n.support_ahead();
     }
@@ -210,12 +218,18 @@ fn nullified(
         ctx.advance(1);
     }
     ctx.end();
-    Ok(Ok(forward(&n)))
+    let deeds = prune::pruned(&n.w, &bare, &n.deeds);
+    let floor = n.w.floor;
+    drop((n, bare));
+    let mut w = Workpiece::new(target, options.length);
+    w.floor = floor;
+    let deeds = order::gathered(&mut w, &deeds);
+    Ok(Ok(forward(&w, &deeds)))
 }
 
 /// The operations in the order of fabrication, cuts in as few turns of the cutter as possible.
-fn forward(n: &Nullifier) -> Vec<Operation> {
-    let mut operations: Vec<Operation> = Vec::with_capacity(n.deeds.len());
+fn forward(w: &Workpiece, deeds: &[(Cell, Undoing)]) -> Vec<Operation> {
+    let mut operations: Vec<Operation> = Vec::with_capacity(deeds.len());
     // Cuts since the last turn, and the orientations that serve all of them.
     let (mut run, mut common) = (0, Ways::ALL);
     let turn = |operations: &mut Vec<Operation>, run: usize, common: Ways| {
@@ -223,8 +237,8 @@ fn forward(n: &Nullifier) -> Vec<Operation> {
         let from = operations.len() - run;
         operations[from..].iter_mut().for_each(|op| op.deed = Deed::Cut(way));
     };
-    for (cell, undoing) in n.deeds.iter().rev() {
-        let voxel = n.w.voxel(*cell).map(|c| c as u16);
+    for (cell, undoing) in deeds.iter().rev() {
+        let voxel = w.voxel(*cell).map(|c| c as u16);
         match undoing {
             Undoing::Eroded => {
                 turn(&mut operations, run, common);

@@ -22,7 +22,7 @@ fn plus(a: P, b: P) -> P {
 }
 
 /// What of `g` is connected to the base layer.
-fn standing(g: &BitGrid) -> BitGrid {
+pub(super) fn standing(g: &BitGrid) -> BitGrid {
     let mut seen = BitGrid::new(g.dims());
     let mut open: Vec<[usize; 3]> = g.iter_ones().filter(|v| v[2] == 0).collect();
     open.iter().for_each(|v| seen.set(*v, true));
@@ -134,7 +134,7 @@ fn one_random_part_is_made_of_another() {
             reused += usize::from(kept);
         }
     }
-    assert!(made > 300 && reused > 100, "{made} {reused}");
+    assert!(made > 380 && reused > 100, "{made} {reused}");
 }
 
 #[test]

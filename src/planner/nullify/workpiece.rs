@@ -143,6 +143,11 @@ impl Workpiece {
         self.dims
     }
 
+    /// The highest layer with material; −1 without any.
+    pub fn highest(&self) -> i32 {
+        self.slabs[2].last
+    }
+
     /// Cells of the padded grid.
     pub fn len(&self) -> usize {
         self.cells.len()
