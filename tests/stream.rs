@@ -296,7 +296,7 @@ fn a_port_without_permission_says_so() {
     let open_to_all = fs::Permissions::from_mode(0o777);
     fs::set_permissions(dir.path(), open_to_all).unwrap();
     let (_master, path) = terminal();
-    fs::set_permissions(&path, fs::Permissions::from_mode(0)).unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o000)).unwrap();
     let binary = env!("CARGO_BIN_EXE_hmplan");
     // Root may open anything, so it steps down.
     let root = fs::metadata("/proc/self").unwrap().uid() == 0;

@@ -210,6 +210,9 @@ fn journal_path(args: &StreamArgs, file: &Path) -> PathBuf {
     })
 }
 
+/// A line of the file, and the point within it where the machine came to rest.
+type Start = (u32, Option<[f64; 3]>);
+
 /// The rest of a stopped job, once the person agrees to the way back.
 fn go_on(
     args: &StreamArgs,
@@ -217,7 +220,7 @@ fn go_on(
     program: &Cleared,
     full: &Preflight,
     setting: &Setting,
-) -> Result<(Preflight, (u32, Option<[f64; 3]>)), Failure> {
+) -> Result<(Preflight, Start), Failure> {
     let last = stream::last(journal).map_err(|e| {
         Failure::Input(format!("{}: no job to go on with ({e})", journal.display()))
     })?;

@@ -182,7 +182,8 @@ fn prefix(
         let lines: Vec<&str> =
             (0..p.script.len()).filter(of_device).map(|i| p.script.text(i)).collect();
         let want: Vec<String> = lines.iter().map(|l| squeezed(l)).collect();
-        let ran: Vec<String> = w.ran(device).iter().map(|l| squeezed(l)).collect();
+        let ran = w.ran(device).into_iter().map(|l| squeezed(&l));
+        let ran: Vec<String> = ran.filter(|l| !OWN.contains(&l.as_str())).collect();
         let mut n = ran.len();
         if let Some(wire) = &d.wire {
             written(wire, &lines, code, told)?;
@@ -190,7 +191,8 @@ fn prefix(
             unseen |= code == 0 && harm.is_some();
             must!(!(kind.echo && unseen), told, "{device}: a success hides damage it repeated");
             n = harm.map_or(n, |reads| {
-                let program = |(l, taken): &&(String, bool)| *taken && !OWN.contains(&l.as_str());
+                let program =
+                    |(l, taken): &&(String, bool)| *taken && !OWN.contains(&&*squeezed(l));
                 d.sim.record().read[..reads].iter().filter(program).count()
             });
         } else if let Ending::Refused { device: at, number, .. } = &outcome.ending
@@ -255,10 +257,9 @@ fn in_place(
     for (i, (text, taken)) in record.read.iter().enumerate() {
         // A line too long for it was cut.
         let is = |a: &Arrival| a.text == text.trim() || (!taken && a.text.starts_with(text));
-        let era = before.map_or(0, |b| b.era);
+        // Only what came before the job, or before a reset, may be left out.
         let follows = |j: usize, a: &Arrival| {
-            let first = j == 0 || wire.arrived[j - 1].era != a.era;
-            (j == next && a.era == era) || (a.era > era && first)
+            wire.arrived[next..j].iter().all(|b| !in_job(b) || b.era < a.era)
         };
         let mut after = (next..wire.arrived.len()).map(|j| (j, &wire.arrived[j]));
         let found = after.find(|(j, a)| is(a) && follows(*j, a)).map(|(j, _)| j);
@@ -268,7 +269,7 @@ fn in_place(
         };
         let a = &wire.arrived[j];
         next = j + 1;
-        if let Some(b) = before.filter(|b| b.era == a.era) {
+        if let Some(b) = before.filter(|b| b.era == a.era && in_job(b)) {
             let joins = a.lines[0] == b.lines[1] + 1 || (a.lines[0] == b.lines[1] && !a.whole);
             must!(joins, told, "read {i} '{text}' is out of place: {b:?}, {a:?}");
         }
