@@ -22,6 +22,8 @@ struct Bench {
     /// Neither reads nor talks.
     stalled: Arc<AtomicBool>,
     over: Arc<AtomicBool>,
+    /// Realtime bytes it received, but for status requests.
+    urgent: Arc<Mutex<Vec<u8>>>,
 }
 
 impl Drop for Bench {
@@ -53,7 +55,9 @@ impl Bench {
             sim: Arc::new(Mutex::new(Sim::new(setup))),
             stalled: Arc::default(),
             over: Arc::default(),
+            urgent: Arc::default(),
         };
+        let urgent = bench.urgent.clone();
         let mut reads = File::from(master.as_fd().try_clone_to_owned().unwrap());
         let mut writes = File::from(master);
         let began = Instant::now();
@@ -65,6 +69,8 @@ impl Bench {
                 while stalled.load(Ordering::Relaxed) {
                     thread::sleep(Duration::from_millis(20));
                 }
+                let is_urgent = |b: &&u8| **b >= 0x80 || b"!~\x18".contains(b);
+                urgent.lock().unwrap().extend(buf[..n].iter().filter(is_urgent));
                 sim.lock().unwrap().receive(&buf[..n], now());
             }
         });
@@ -107,6 +113,15 @@ fn finished(child: Child) -> (i32, String, String) {
     let Output { status, stdout, stderr } = child.wait_with_output().unwrap();
     let text = |b: Vec<u8>| String::from_utf8(b).unwrap();
     (status.code().unwrap_or(-1), text(stdout), text(stderr))
+}
+
+/// Waits until a device has come so far.
+fn until(what: &str, mut is: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !is() {
+        assert!(began.elapsed() < Duration::from_secs(300), "{what} never happens");
+        thread::sleep(Duration::from_millis(5));
+    }
 }
 
 fn interrupt(child: &Child) {
@@ -271,6 +286,143 @@ fn ports_that_cannot_be_had_say_why() {
     let taken = serialport::new(path.to_str().unwrap(), 115_200).open().unwrap();
     refused(&path, "another program uses it");
     drop(taken);
+}
+
+#[test]
+fn a_port_without_permission_says_so() {
+    use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+    let dir = tempfile::tempdir().unwrap();
+    let file = write(dir.path(), "G0 X1\nM30\n");
+    let open_to_all = fs::Permissions::from_mode(0o777);
+    fs::set_permissions(dir.path(), open_to_all).unwrap();
+    let (_master, path) = terminal();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o000)).unwrap();
+    let binary = env!("CARGO_BIN_EXE_hmplan");
+    // Root may open anything, so it steps down.
+    let root = fs::metadata("/proc/self").unwrap().uid() == 0;
+    let nobody = |args: &[&str]| {
+        let mut command = Command::new(if root { "setpriv" } else { binary });
+        if root {
+            command.args(["--reuid=65534", "--regid=65534", "--clear-groups", "--", binary]);
+        }
+        command.args(args).stdin(Stdio::null()).output()
+    };
+    if !nobody(&["--version"]).is_ok_and(|o| o.status.success()) {
+        println!("skipped: setpriv is missing, or others may not run {binary}");
+        return;
+    }
+    let [file, port] = [&file, &path].map(|p| p.to_str().unwrap());
+    for more in [&[][..], &["--json"]] {
+        let output =
+            nobody(&[&["stream", file, "--port", port, "--unchecked"], more].concat()).unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(3), "{stderr}");
+        let want = format!("error: {port}: no permission to open it; add yourself to");
+        assert!(stderr.contains(&want) && !stderr.contains("another program"), "{stderr}");
+        assert_eq!((stderr.matches("error:").count(), output.stdout.len()), (1, 0), "{stderr}");
+    }
+}
+
+#[test]
+fn keys_hold_resume_override_and_stop() {
+    use rustix::termios::{LocalModes, tcgetattr};
+    let dir = tempfile::tempdir().unwrap();
+    let file = write(dir.path(), &winding(3000));
+    let bench = Bench::new(sim(Dialect::GrblHal, 20.0));
+    let (keyboard, seat) = terminal();
+    let seat = File::options().read(true).write(true).open(seat).unwrap();
+    {
+        use rustix::termios::{OptionalActions, tcsetattr};
+        let mut cooked = tcgetattr(&seat).unwrap();
+        cooked.local_modes.insert(LocalModes::ICANON | LocalModes::ECHO);
+        tcsetattr(&seat, OptionalActions::Now, &cooked).unwrap();
+    }
+    let mut keyboard = File::from(keyboard);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_hmplan"));
+    command.arg("stream").arg(&file).arg("--port").arg(&bench.path).arg("--unchecked");
+    command.stdin(seat.try_clone().unwrap()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    let moved = || bench.record().moved.len();
+    let heard = |byte: u8| bench.urgent.lock().unwrap().contains(&byte);
+    until("motion", || moved() > 50);
+    assert!(!tcgetattr(&seat).unwrap().local_modes.contains(LocalModes::ICANON));
+    for (key, byte) in [(b'+', 0x91), (b'-', 0x92), (b'0', 0x90), (b'h', b'!')] {
+        keyboard.write_all(&[key]).unwrap();
+        until("a key's byte", || heard(byte));
+    }
+    // Rest: the motion under way ends in a hold.
+    thread::sleep(Duration::from_millis(300));
+    let held = moved();
+    thread::sleep(Duration::from_millis(700));
+    assert_eq!(moved(), held, "it moves in a hold");
+    assert!(bench.record().spindle && !heard(b'~'));
+    keyboard.write_all(b"r").unwrap();
+    until("motion again", || moved() > held + 50);
+    assert!(heard(b'~') && !heard(0x18));
+    keyboard.write_all(b"xq").unwrap();
+    let (code, stdout, stderr) = finished(child);
+    assert_eq!(code, 130, "{stdout}{stderr}");
+    let r = bench.record();
+    assert!(!r.spindle && !r.lost_position && heard(0x18), "{stdout}");
+    let modes = tcgetattr(&seat).unwrap().local_modes;
+    assert!(modes.contains(LocalModes::ICANON | LocalModes::ECHO), "the terminal is put back");
+}
+
+#[test]
+fn stopped_on_the_way_back_a_job_still_finishes_the_same_part() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = winding(800);
+    let file = write(dir.path(), &text);
+    let bench = Bench::new(sim(Dialect::GrblHal, 5.0));
+    let moved = || bench.record().moved;
+    let child = hmplan(&file, &bench.path, &[]);
+    until("motion", || moved().len() >= 200);
+    interrupt(&child);
+    assert_eq!(finished(child).0, 130);
+    let done = moved();
+
+    // On its way up: Z750 is 7 s away at the rapid rate, more than a second here.
+    let child = hmplan(&file, &bench.path, &["--resume", "--yes"]);
+    let run = bench.record().run.len();
+    until("the way back", || bench.record().run[run..].iter().any(|l| l == "G53 G0 Z750"));
+    interrupt(&child);
+    let (code, stdout, stderr) = finished(child);
+    assert_eq!(code, 130, "{stdout}{stderr}");
+    let half = moved();
+    assert_eq!(half[..done.len()], done);
+
+    let (code, stdout, stderr) = finished(hmplan(&file, &bench.path, &["--resume", "--yes"]));
+    assert_eq!(code, 0, "{stdout}{stderr}");
+    let motions = |l: &&str| l.contains(['X', 'Z']) && !l.starts_with("M3");
+    let want: Vec<&str> = text.lines().filter(motions).collect();
+    let all = moved();
+    assert_eq!(done, want[..done.len()]);
+    assert_eq!(all[all.len() - (want.len() - done.len())..], want[done.len()..], "the same part");
+}
+
+#[test]
+fn a_verified_plan_is_sent_as_it_is_and_nothing_else_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("plan");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_hmplan"));
+    command.current_dir(env!("CARGO_MANIFEST_DIR"));
+    command.args(["plan", "fixtures/bearing_initial.obj", "fixtures/bearing_target.obj"]);
+    let planned =
+        command.args(["--setup", "keep", "--resolution", "0.8", "-o"]).arg(&out).output().unwrap();
+    assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
+    let program = out.join("out.gcode");
+    let send = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_hmplan"));
+        command.arg("stream").arg(&program).args(["--port", "sim:grblhal"]);
+        finished(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
+    };
+    let (code, stdout, stderr) = send();
+    assert_eq!(code, 0, "{stdout}{stderr}");
+    assert!(stdout.starts_with("done: "), "{stdout}");
+    let text = fs::read_to_string(&program).unwrap();
+    fs::write(&program, text + "G4 P1\n").unwrap();
+    let (code, stdout, stderr) = send();
+    assert!(code == 1 && stdout.is_empty() && stderr.contains("--unchecked"), "{stderr}");
 }
 
 #[test]

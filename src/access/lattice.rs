@@ -46,13 +46,14 @@ impl DepthMap {
     /// [`DepthMap::reaches`] of a [`DepthMap::place`].
     #[inline]
     pub(super) fn reaches_at(&self, at: DVec3) -> bool {
-        let (i, j) = ((at.x + 0.5) as usize, (at.y + 0.5) as usize);
-        i < self.lattice.nu
-            && at.x >= -0.5
-            && at.y >= -0.5
+        // Truncation is the floor of what is not negative; 32 bits convert in one instruction.
+        let (u, v) = (at.x + 0.5, at.y + 0.5);
+        u >= 0.0
+            && v >= 0.0
+            && u < self.lattice.nu as f64
             && self
                 .lowest
-                .get(i + self.lattice.nu * j)
+                .get(u as i32 as usize + self.lattice.nu * (v as i32 as usize))
                 .is_some_and(|low| at.z as f32 >= *low + ROUNDING_MM)
     }
 }
@@ -111,9 +112,8 @@ impl Lattice {
     pub fn cell(&self, uv: DVec2) -> Option<usize> {
         let at = (uv - self.first) * self.per_mm + DVec2::splat(0.5);
         // Truncation is the floor of what is not negative.
-        let (i, j) = (at.x as usize, at.y as usize);
-        let inside = at.x >= 0.0 && at.y >= 0.0 && i < self.nu && j < self.nv;
-        inside.then(|| i + self.nu * j)
+        let inside = at.x >= 0.0 && at.y >= 0.0 && at.x < self.nu as f64 && at.y < self.nv as f64;
+        inside.then(|| at.x as i32 as usize + self.nu * (at.y as i32 as usize))
     }
 
     /// How far cell (0, 0) of `other`, of the same spacing and phase, lies from this one's.

@@ -17,8 +17,13 @@ use rayon::prelude::*;
 /// Voxels of a block along each axis: a byte of a row.
 const BLOCK: usize = 8;
 
-/// Cells of a tile along each axis.
-const TILE: usize = 8;
+/// Voxels along each axis of the parts that a block is split into when it is neither wholly above
+/// nor wholly below.
+const PART: usize = BLOCK / 2;
+
+/// Cells of a tile along each axis, for blocks and for their parts: about a third of what either
+/// spans. Larger tiles tell less, smaller ones take longer to look through.
+const TILES: [usize; 2] = [8, 4];
 
 /// Margin in mm of the verdict on a block: far above the rounding of f32 heights, far below a voxel.
 const MARGIN_MM: f64 = 1e-3;
@@ -46,31 +51,32 @@ pub fn reachable(map: &DepthMap, candidates: &BitGrid, frame: &Frame) -> BitGrid
 
 /// Least and largest value of each tile of cells.
 struct Tiles {
+    tile: usize,
     cells: [usize; 2],
     n: [usize; 2],
     range: Vec<(f32, f32)>,
 }
 
 impl Tiles {
-    fn of(map: &DepthMap) -> Tiles {
+    fn of(map: &DepthMap, tile: usize) -> Tiles {
         let (cells, nu, nv) = map.cells();
-        let n = [nu.div_ceil(TILE), nv.div_ceil(TILE)];
+        let n = [nu.div_ceil(tile), nv.div_ceil(tile)];
         let mut range = vec![(f32::INFINITY, f32::NEG_INFINITY); n[0] * n[1]];
         for (j, row) in cells.chunks(nu.max(1)).enumerate() {
-            let tiles = &mut range[j / TILE * n[0]..][..n[0]];
-            for (tile, run) in tiles.iter_mut().zip(row.chunks(TILE)) {
+            let tiles = &mut range[j / tile * n[0]..][..n[0]];
+            for (tile, run) in tiles.iter_mut().zip(row.chunks(tile)) {
                 for g in run {
                     tile.0 = if *g < tile.0 { *g } else { tile.0 };
                     tile.1 = if *g > tile.1 { *g } else { tile.1 };
                 }
             }
         }
-        Tiles { cells: [nu, nv], n, range }
+        Tiles { tile, cells: [nu, nv], n, range }
     }
 
     /// Least and largest value over cells lo ..= hi; no largest where some lie outside the map.
     fn over(&self, lo: DVec2, hi: DVec2) -> (f64, f64) {
-        let tile = |c: f64, a: usize| ((c.max(0.0) as usize) / TILE).min(self.n[a] - 1);
+        let tile = |c: f64, a: usize| ((c.max(0.0) as usize) / self.tile).min(self.n[a] - 1);
         let beyond = DVec2::new((self.cells[0] - 1) as f64, (self.cells[1] - 1) as f64);
         let outside = lo.min_element() < 0.0 || hi.cmpgt(beyond).any();
         let (mut least, mut most) =
@@ -99,16 +105,10 @@ fn voxels(
     if frame.dims.contains(&0) {
         return out;
     }
-    let tiles = Tiles::of(map);
+    let tiles = TILES.map(|tile| Tiles::of(map, tile));
     let steps = map.steps(frame.pitch);
     let words = out.words_per_row();
-    // From a block's first voxel to the lowest and highest of its others, in cells and mm.
-    let far = (BLOCK - 1) as f64;
-    let spread = |c: [f64; 3]| {
-        let ends = c.map(|c| c * far);
-        (ends.iter().map(|e| e.min(0.0)).sum::<f64>(), ends.iter().map(|e| e.max(0.0)).sum::<f64>())
-    };
-    let [u, v, z] = [0, 1, 2].map(|a| spread(steps.map(|s| s[a])));
+    let [block, part] = [BLOCK, PART].map(|n| Reach::of(&steps, n));
     out.par_slabs_mut(BLOCK).for_each(|(z0, slab)| {
         let deep = BLOCK.min(nz - z0);
         for y0 in (0..ny).step_by(BLOCK) {
@@ -119,28 +119,97 @@ fn voxels(
                     continue;
                 }
                 let at = map.place(frame.center([x0, y0, z0]));
-                let lo = DVec2::new(at.x + u.0, at.y + v.0) - DVec2::splat(1.0);
-                let hi = DVec2::new(at.x + u.1, at.y + v.1) + DVec2::splat(1.0);
-                let (least, most) = tiles.over(lo, hi);
-                if at.z + z.1 < least - MARGIN_MM {
+                let whole = block.verdict(&tiles[0], at);
+                if whole == Verdict::None {
                     continue;
                 }
-                let all = at.z + z.0 > most + MARGIN_MM;
+                let mut bits = asked;
+                if whole == Verdict::Mixed {
+                    let tell = |p| part.verdict(&tiles[1], p);
+                    sift(&mut bits, [wide, deep], at, &steps, tell, |bits, j, k, p| {
+                        passing(bits, [x0, y0 + j, z0 + k], p, steps[0], &test)
+                    });
+                }
                 for k in 0..deep {
                     for j in 0..wide {
-                        let mut bits = asked[j + BLOCK * k];
-                        if bits != 0 && !all {
-                            let p = at + steps[1] * j as f64 + steps[2] * k as f64;
-                            bits = passing(bits, [x0, y0 + j, z0 + k], p, steps[0], &test);
-                        }
                         let word = &mut slab[(k * ny + y0 + j) * words + x0 / 64];
-                        *word |= u64::from(bits) << (x0 % 64);
+                        *word |= u64::from(bits[j + BLOCK * k]) << (x0 % 64);
                     }
                 }
             }
         }
     });
     out
+}
+
+/// Keeps the voxels of a mixed block that pass: by its parts where they tell, else row by row.
+/// `size` is the block's rows along y and z, `at` the place of its first voxel.
+fn sift(
+    bits: &mut [u8; BLOCK * BLOCK],
+    size: [usize; 2],
+    at: DVec3,
+    steps: &[DVec3; 3],
+    tell: impl Fn(DVec3) -> Verdict,
+    passing: impl Fn(u8, usize, usize, DVec3) -> u8,
+) {
+    let place = |j: usize, k: usize| at + steps[1] * j as f64 + steps[2] * k as f64;
+    for z in (0..size[1]).step_by(PART) {
+        for y in (0..size[0]).step_by(PART) {
+            let p = place(y, z);
+            let halves = [tell(p), tell(p + steps[0] * PART as f64)];
+            let of = |v| {
+                let low = if halves[0] == v { 0x0F } else { 0 };
+                if halves[1] == v { low | 0xF0 } else { low }
+            };
+            let (all, mixed): (u8, u8) = (of(Verdict::All), of(Verdict::Mixed));
+            for k in z..(z + PART).min(size[1]) {
+                for j in y..(y + PART).min(size[0]) {
+                    let row = &mut bits[j + BLOCK * k];
+                    let asked = *row & mixed;
+                    *row &= all;
+                    if asked != 0 {
+                        *row |= passing(asked, j, k, place(j, k));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// What the tiles tell of a cube of voxels.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Verdict {
+    None,
+    All,
+    Mixed,
+}
+
+/// From the first voxel of a cube to the lowest and highest of its others, in cells and mm.
+struct Reach([(f64, f64); 3]);
+
+impl Reach {
+    fn of(steps: &[DVec3; 3], n: usize) -> Reach {
+        let far = (n - 1) as f64;
+        Reach([0, 1, 2].map(|a| {
+            let ends = steps.map(|s| s[a] * far);
+            let sum = |f: fn(f64, f64) -> f64| ends.iter().map(|e| f(*e, 0.0)).sum::<f64>();
+            (sum(f64::min), sum(f64::max))
+        }))
+    }
+
+    fn verdict(&self, tiles: &Tiles, at: DVec3) -> Verdict {
+        let [u, v, z] = self.0;
+        let lo = DVec2::new(at.x + u.0, at.y + v.0) - DVec2::splat(1.0);
+        let hi = DVec2::new(at.x + u.1, at.y + v.1) + DVec2::splat(1.0);
+        let (least, most) = tiles.over(lo, hi);
+        if at.z + z.1 < least - MARGIN_MM {
+            Verdict::None
+        } else if at.z + z.0 > most + MARGIN_MM {
+            Verdict::All
+        } else {
+            Verdict::Mixed
+        }
+    }
 }
 
 /// The voxels of a block inside or outside a set, a byte a row; `size` rows along y and z.
@@ -166,19 +235,20 @@ fn bits_of(
 /// Those of the next voxels along x that pass.
 #[inline]
 fn passing(
-    mut bits: u8,
+    bits: u8,
     v: [usize; 3],
     mut p: DVec3,
     step: DVec3,
     test: &impl Fn([usize; 3], DVec3) -> bool,
 ) -> u8 {
+    let mut pass = 0;
     for i in 0..BLOCK {
-        if bits >> i & 1 == 1 && !test([v[0] + i, v[1], v[2]], p) {
-            bits &= !(1 << i);
+        if bits >> i & 1 == 1 {
+            pass |= u8::from(test([v[0] + i, v[1], v[2]], p)) << i;
         }
         p += step;
     }
-    bits
+    pass
 }
 
 #[cfg(test)]

@@ -50,7 +50,7 @@ pub fn run(args: &StreamArgs, output: &OutputArgs) -> Result<Exit, Failure> {
         let _ = writeln!(std::io::stderr(), "warning: {warning}");
     }
     let journal_path = journal_path(args, file);
-    let mut from = 1;
+    let mut from = (1, None);
     if args.resume {
         (look, from) = go_on(args, &journal_path, &cleared, &look, &setting)?;
     }
@@ -210,6 +210,9 @@ fn journal_path(args: &StreamArgs, file: &Path) -> PathBuf {
     })
 }
 
+/// A line of the file, and the point within it where the machine came to rest.
+type Start = (u32, Option<[f64; 3]>);
+
 /// The rest of a stopped job, once the person agrees to the way back.
 fn go_on(
     args: &StreamArgs,
@@ -217,7 +220,7 @@ fn go_on(
     program: &Cleared,
     full: &Preflight,
     setting: &Setting,
-) -> Result<(Preflight, u32), Failure> {
+) -> Result<(Preflight, Start), Failure> {
     let last = stream::last(journal).map_err(|e| {
         Failure::Input(format!("{}: no job to go on with ({e})", journal.display()))
     })?;
@@ -225,7 +228,7 @@ fn go_on(
     let resumed = stream::resume(program, full, setting, &last, said)
         .map_err(|e| Failure::Input(format!("--resume is refused: {e}")))?;
     let mut err = std::io::stderr();
-    let exact = if resumed.exact { ", where the machine came to rest" } else { "" };
+    let exact = if resumed.at.is_some() { ", where the machine came to rest" } else { "" };
     let _ = writeln!(err, "goes on at line {}{exact}; before it:", resumed.line);
     for line in &resumed.preamble {
         let _ = writeln!(err, "    {line}");
@@ -241,7 +244,7 @@ fn go_on(
             return Err(Failure::input("not agreed to; nothing was sent"));
         }
     }
-    Ok((resumed.preflight, resumed.line))
+    Ok((resumed.preflight, (resumed.line, resumed.at)))
 }
 
 /// Extrusion off, filament drawn back, module closed.

@@ -3,14 +3,15 @@
 //! Method. A layer of the element is a cross-section and a run of heights. The cross-section of a
 //! disk is a stack of chords that contain one another, so a row is gathered from its neighbours
 //! widest chord first, widening by the difference before the next is added: one pass for all
-//! chords (after van Droogenbroeck & Talbot 1996). A run of heights takes doubling shifts over a
+//! chords (after van Droogenbroeck & Talbot 1996), for all slices of a panel at once, so that each
+//! step is one loop over a block of memory. A run of heights takes doubling shifts over a
 //! panel of constant y, which fits a core's first cache; an endless run is a running OR, and a
 //! whole plane a projection. Cross-sections that are no such stack go chord by chord.
 //!
 //! Rows are handled in a frame wide enough that no bit that comes back to the window is lost.
 
 use super::element::{ENDLESS_DOWN, ENDLESS_UP};
-use super::rows::{or, or_shifted, run_ahead, widen};
+use super::rows::{Panel, or, or_shifted, run_ahead, widen};
 use super::{Chord, Element, Layer, Plane, Window};
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
@@ -39,7 +40,7 @@ pub fn dilate(set: &BitGrid, element: &Element, window: &Window) -> BitGrid {
     let work = Work { set: &placed, sections: &sections, window, full: &full };
     let panels: Vec<Vec<u64>> = (window.lo[1]..window.hi[1])
         .into_par_iter()
-        .map_init(Vec::new, |scratch, y| work.panel_of_width(y, scratch))
+        .map_init(Scratch::default, |scratch, y| work.panel_of_width(y, scratch))
         .collect();
     let (w, last, shift) = (placed.words_per_row(), out.last_word_mask(), lo - window.lo[0]);
     out.par_rows_mut().for_each(|(y, z, row)| {
@@ -176,6 +177,13 @@ fn stack_of(chords: &[Chord]) -> Option<(i64, Vec<Step>)> {
     Some((centre, steps))
 }
 
+/// Room that panels of one thread share.
+#[derive(Default)]
+struct Scratch {
+    rows: Vec<u64>,
+    gathered: Panel,
+}
+
 struct Work<'a> {
     set: &'a BitGrid,
     sections: &'a [Section],
@@ -185,7 +193,7 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// [`Work::panel`] with the number of words known to the compiler where rows are short.
-    fn panel_of_width(&self, y: i64, scratch: &mut Vec<u64>) -> Vec<u64> {
+    fn panel_of_width(&self, y: i64, scratch: &mut Scratch) -> Vec<u64> {
         match self.set.words_per_row() {
             1 => self.panel::<1>(y, scratch),
             2 => self.panel::<2>(y, scratch),
@@ -201,11 +209,11 @@ impl Work<'_> {
     }
 
     /// All rows of the window at one y; empty when there is nothing in them.
-    fn panel<const W: usize>(&self, y: i64, scratch: &mut Vec<u64>) -> Vec<u64> {
+    fn panel<const W: usize>(&self, y: i64, scratch: &mut Scratch) -> Vec<u64> {
         let w = if W == 0 { self.set.words_per_row() } else { W };
         let mut acc: Vec<u64> = Vec::new();
         let n = self.full.len();
-        let mut old = vec![0u64; w];
+        let Scratch { rows: scratch, gathered } = scratch;
         for s in self.sections {
             // Runs read ahead, so the rows of the set follow as many empty ones as a run is long.
             let i_end = (self.window.hi[2] - s.z).max(0);
@@ -216,11 +224,13 @@ impl Work<'_> {
             let rows = if finite { pad + (i_end as usize).max(nz) } else { nz };
             scratch.clear();
             scratch.resize(rows * w, 0);
-            let mut any = false;
-            for z in s.rows_in.clone() {
-                let at = (pad + z) * w;
-                any |= self.section_row::<W>(s, y, z, &mut scratch[at..at + w], &mut old);
-            }
+            let of_set = &mut scratch[(pad + s.rows_in.start) * w..(pad + s.rows_in.end) * w];
+            let any = match &s.shape {
+                Shape::Stack { centre, steps } => {
+                    self.stack_rows::<W>(s, steps, *centre, y, gathered, of_set)
+                }
+                Shape::Free(chords) => self.free_rows(s, chords, y, of_set),
+            };
             if !any {
                 continue;
             }
@@ -289,50 +299,72 @@ impl Work<'_> {
         );
     }
 
-    /// One row of the set dilated by a cross-section; says whether anything is in it.
+    /// Row `y` of slice `z` of the set; none outside it.
     #[inline(always)]
-    fn section_row<const W: usize>(
+    fn row(&self, y: i64, z: usize, w: usize) -> Option<&[u64]> {
+        let [_, ny, _] = self.set.dims();
+        let y = usize::try_from(y).ok().filter(|y| *y < ny)?;
+        self.set.words().get((z * ny + y) * w..(z * ny + y + 1) * w)
+    }
+
+    /// The rows at `y` of a section's slices, dilated by a stack of chords: all slices take each
+    /// step together. Says whether anything is in them.
+    #[inline(always)]
+    fn stack_rows<const W: usize>(
         &self,
         s: &Section,
+        steps: &[Step],
+        centre: i64,
         y: i64,
-        z: usize,
+        gathered: &mut Panel,
         out: &mut [u64],
-        old: &mut [u64],
     ) -> bool {
-        let w = if W == 0 { out.len() } else { W };
-        let (out, old) = (&mut out[..w], &mut old[..w]);
-        let ny = self.set.dims()[1];
-        let slice = &self.set.words()[z * ny * w..(z + 1) * ny * w];
-        let row = |dy: i64| {
-            let from = usize::try_from(y - dy).ok()?;
-            slice.get(from * w..(from + 1) * w)
-        };
-        match &s.shape {
-            Shape::Stack { centre, steps } => {
-                for step in steps {
-                    for dy in &step.dys {
-                        if let Some(r) = row(*dy) {
-                            or(out, &r[..w]);
-                        }
-                    }
-                    widen(out, old, step.left, step.right);
-                }
-                if *centre != 0 {
-                    old.copy_from_slice(out);
-                    out.fill(0);
-                    or_shifted(out, old, *centre);
+        let w = if W == 0 { self.set.words_per_row() } else { W };
+        gathered.clear(s.rows_in.len(), w);
+        let mut any = 0;
+        let slice = self.set.dims()[1] * w;
+        let slices = &self.set.words()[s.rows_in.start * slice..s.rows_in.end * slice];
+        for step in steps {
+            for dy in &step.dys {
+                let from = match usize::try_from(y - dy) {
+                    Ok(from) if from * w < slice => from * w,
+                    _ => continue,
+                };
+                let rows = gathered.rows_mut().chunks_exact_mut(w);
+                for (here, layer) in rows.zip(slices.chunks_exact(slice)) {
+                    or(&mut here[..w], &layer[from..][..w]);
                 }
             }
-            Shape::Free(chords) => {
-                let mut wide = vec![0u64; w];
-                let mut room = vec![0u64; w];
-                for c in chords {
-                    let Some(r) = row(c.y) else { continue };
-                    wide.fill(0);
-                    or_shifted(&mut wide, r, c.x);
-                    widen(&mut wide, &mut room, 0, (c.len - 1) as u32);
-                    or(out, &wide);
-                }
+            if any == 0 {
+                any = gathered.rows_mut().iter().fold(0, |a, word| a | word);
+            }
+            if any != 0 {
+                gathered.widen(step.left, step.right);
+            }
+        }
+        if any == 0 {
+            return false;
+        }
+        if centre == 0 {
+            out.copy_from_slice(gathered.rows_mut());
+        } else {
+            let rows = gathered.rows_mut().chunks_exact(w);
+            out.chunks_exact_mut(w).zip(rows).for_each(|(o, r)| or_shifted(o, r, centre));
+        }
+        true
+    }
+
+    /// The same by a cross-section that is no stack, chord by chord.
+    fn free_rows(&self, s: &Section, chords: &[Chord], y: i64, out: &mut [u64]) -> bool {
+        let w = self.set.words_per_row();
+        let (mut wide, mut room) = (vec![0u64; w], vec![0u64; w]);
+        for (z, out) in s.rows_in.clone().zip(out.chunks_exact_mut(w)) {
+            for c in chords {
+                let Some(r) = self.row(y - c.y, z, w) else { continue };
+                wide.fill(0);
+                or_shifted(&mut wide, r, c.x);
+                widen(&mut wide, &mut room, 0, (c.len - 1) as u32);
+                or(out, &wide);
             }
         }
         out.iter().any(|word| *word != 0)

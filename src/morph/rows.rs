@@ -50,6 +50,80 @@ pub fn widen(a: &mut [u64], old: &mut [u64], left: u32, right: u32) {
     }
 }
 
+/// Rows of one length, one after the other, that are widened together.
+#[derive(Default)]
+pub struct Panel {
+    /// The rows between a word of zeros before and behind.
+    words: Vec<u64>,
+    other: Vec<u64>,
+    /// Per word: all ones but at the first, and at the last, of a row.
+    inner: [Vec<u64>; 2],
+    width: usize,
+}
+
+impl Panel {
+    /// `n` empty rows of `w` words.
+    pub fn clear(&mut self, n: usize, w: usize) {
+        self.words.clear();
+        self.words.resize(n * w + 2, 0);
+        self.other.resize(n * w + 2, 0);
+        // The guards; what lies between is written before it is read.
+        self.other[0] = 0;
+        self.other[n * w + 1] = 0;
+        if self.width != w || self.inner[0].len() != n * w {
+            self.width = w;
+            for (end, inner) in [0, w.saturating_sub(1)].into_iter().zip(&mut self.inner) {
+                inner.clear();
+                inner.extend((0..n * w).map(|i| if i % w == end { 0 } else { !0u64 }));
+            }
+        }
+    }
+
+    pub fn rows_mut(&mut self) -> &mut [u64] {
+        let n = self.words.len().saturating_sub(2);
+        &mut self.words[1..][..n]
+    }
+
+    /// [`widen`] of every row.
+    pub fn widen(&mut self, left: u32, right: u32) {
+        let both = left.min(right);
+        let mut reached = 0;
+        while reached < both {
+            let n = (reached + 1).min(both - reached).min(63);
+            self.step(n, |c, up, down| c | up | down);
+            reached += n;
+        }
+        for (side, downward) in [(left, true), (right, false)] {
+            let mut reached = both;
+            while reached < side {
+                let n = (reached + 1).min(side - reached).min(63);
+                if downward {
+                    self.step(n, |c, _, down| c | down);
+                } else {
+                    self.step(n, |c, up, _| c | up);
+                }
+                reached += n;
+            }
+        }
+    }
+
+    /// Every word becomes `of` itself and the row moved `n` bits up and down, 0 < n < 64.
+    #[inline(always)]
+    fn step(&mut self, n: u32, of: impl Fn(u64, u64, u64) -> u64) {
+        let len = self.inner[0].len();
+        let (before, here, behind) =
+            (&self.words[..len], &self.words[1..][..len], &self.words[2..][..len]);
+        let [not_first, not_last] = [&self.inner[0][..len], &self.inner[1][..len]];
+        let out = &mut self.other[1..][..len];
+        for i in 0..len {
+            let up = here[i] << n | (before[i] >> (64 - n) & not_first[i]);
+            let down = here[i] >> n | (behind[i] << (64 - n) & not_last[i]);
+            out[i] = of(here[i], up, down);
+        }
+        std::mem::swap(&mut self.words, &mut self.other);
+    }
+}
+
 /// dst |= src moved `by` bits up (down when negative); bits that leave dst are lost.
 pub fn or_shifted(dst: &mut [u64], src: &[u64], by: i64) {
     let (words, bits) = (by.div_euclid(64), by.rem_euclid(64) as u32);
@@ -114,6 +188,13 @@ mod tests {
             let mut wide = row.clone();
             widen(&mut wide, &mut [0; 4], left, right);
             prop_assert_eq!(bits(&wide), expected);
+            // The same row between full ones, which must not spill into it.
+            let mut panel = Panel::default();
+            panel.clear(3, 4);
+            panel.rows_mut().fill(!0);
+            panel.rows_mut()[4..8].copy_from_slice(&row);
+            panel.widen(left, right);
+            prop_assert_eq!(&panel.rows_mut()[4..8], &wide[..]);
         }
 
         #[test]

@@ -37,6 +37,9 @@ pub enum Entry {
         /// First line of the file this job runs.
         from: u32,
         lines: usize,
+        /// Where in that line it begins, in work coordinates, mm; None for the line's start.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        at: Option<[f64; 3]>,
     },
     At(Counts),
     Event {
@@ -77,21 +80,22 @@ pub struct Journal {
 
 impl Journal {
     /// Opens a journal to append to. The job begins in it with its first line, so that one which
-    /// never came that far does not hide the job before.
+    /// never came that far does not hide the job before. It runs the file from a line on, from a
+    /// point within it if one is given.
     ///
     /// # Errors
     /// The file cannot be opened for writing.
     pub fn open(
         path: &Path,
         script: Arc<Script>,
-        from: u32,
+        (from, at): (u32, Option<[f64; 3]>),
         [sha256, file, dialect]: [&str; 3],
     ) -> io::Result<Journal> {
         let lines = script.len();
         let [sha256, name, dialect] = [sha256, file, dialect].map(String::from);
         Ok(Journal {
             file: OpenOptions::new().create(true).append(true).open(path)?,
-            begin: Some(Entry::Begin { sha256, file: name, dialect, from, lines }),
+            begin: Some(Entry::Begin { sha256, file: name, dialect, from, lines, at }),
             script,
             from,
             counts: Counts::default(),
@@ -185,6 +189,8 @@ impl Observer for Journal {
 pub struct Last {
     pub sha256: String,
     pub from: u32,
+    /// Where in that line it began, if not at its start.
+    pub at: Option<[f64; 3]>,
     pub counts: Counts,
     /// None when the job was cut off.
     pub end: Option<Entry>,
@@ -208,10 +214,10 @@ pub fn last(path: &Path) -> io::Result<Last> {
             Err(_) => return Err(not("it holds what is no entry of a journal")),
         };
         match (entry, &mut last) {
-            (Entry::Begin { sha256, from, .. }, _) => {
+            (Entry::Begin { sha256, from, at, .. }, _) => {
                 let before = from.saturating_sub(1);
                 let counts = Counts { written: before, confirmed: before, settled: before };
-                last = Some(Last { sha256, from, counts, end: None });
+                last = Some(Last { sha256, from, at, counts, end: None });
             }
             (Entry::At(counts), Some(job)) => job.counts = counts,
             (end @ Entry::End { .. }, Some(job)) => {

@@ -69,8 +69,8 @@ pub struct Resumed {
     pub line: u32,
     /// What is sent before it.
     pub preamble: Vec<String>,
-    /// Whether it goes on at the very point where the machine came to rest.
-    pub exact: bool,
+    /// The very point where the machine came to rest, if it goes on there; work coordinates, mm.
+    pub at: Option<[f64; 3]>,
 }
 
 /// Plans how a job goes on.
@@ -114,6 +114,10 @@ pub fn resume(
             return Err(Refusal::TooFar(line));
         }
         (Some(line), _) => (script.index_of(line), None),
+        // Stopped on its way back: where the job before it was stopped still holds.
+        (None, _) if last.at.is_some() && last.counts.written < last.from => {
+            (script.index_of(last.from), last.at)
+        }
         (None, Some(at)) => {
             let point = [at[0], at[1], at[2]];
             (find(script, &rates, [first, beyond], point)?, Some(point))
@@ -141,7 +145,7 @@ pub fn resume(
         warnings: full.warnings.clone(),
         end: full.end.clone(),
     };
-    Ok(Resumed { preflight, line, preamble, exact: at.is_some() })
+    Ok(Resumed { preflight, line, preamble, at })
 }
 
 /// Whether lines switch extrusion on.
@@ -375,6 +379,7 @@ mod tests {
         Last {
             sha256: Cleared::unchecked(PROGRAM.into()).sha256().into(),
             from: 1,
+            at: None,
             counts,
             end: Some(end),
         }
@@ -391,7 +396,7 @@ mod tests {
     #[test]
     fn it_goes_on_where_the_machine_rests() {
         let r = go(&told([13, 13, 2], Some([20.0, 7.5, 10.0]), &[]), Said::default()).unwrap();
-        assert_eq!((r.line, r.exact), (12, true));
+        assert_eq!((r.line, r.at), (12, Some([20.0, 7.5, 10.0])));
         assert_eq!(
             r.preamble,
             [
@@ -413,6 +418,26 @@ mod tests {
         let s = &r.preflight.script;
         assert_eq!((s.text(13), s.number(13), s.number(12)), ("Y20", 12, 0));
         assert_eq!(s.text(s.len() - 1), "M30");
+    }
+
+    #[test]
+    fn stopped_on_the_way_back_it_goes_on_where_the_job_before_was_stopped() {
+        let at = Some([20.0, 7.5, 10.0]);
+        let whole = go(&told([13, 13, 2], at, &[]), Said::default()).unwrap();
+        let on_the_way = |end: [f64; 3], not_off: &[&str]| Last {
+            from: 12,
+            at,
+            ..told([11, 11, 11], Some(end), not_off)
+        };
+        let again = on_the_way([3.0, 1.0, 600.0], &[]);
+        assert_eq!(go(&again, Said::default()).unwrap(), whole);
+        let cut = Last { end: None, ..again.clone() };
+        assert_eq!(go(&cut, Said::default()), Err(Refusal::PositionUnknown));
+        let said = Said { position_known: true, from_line: None };
+        assert_eq!(go(&cut, said).unwrap(), whole);
+        // Once a line of the file was written, the point is behind.
+        let further = Last { counts: Counts { written: 13, confirmed: 13, settled: 12 }, ..again };
+        assert!(matches!(go(&further, Said::default()), Err(Refusal::NotOnPath(..))));
     }
 
     #[test]

@@ -309,6 +309,9 @@ impl Core {
     /// Asked to stop again: resets at once; asked a third time, leaves.
     pub(super) fn stop_harder(&mut self, out: &mut Vec<Action>) {
         let grbl = self.setup.control.is_grbl();
+        let extrudes = self.setup.script.extrudes();
+        let module = if extrudes { self.setup.module_off.clone() } else { Vec::new() };
+        let outputs = self.setup.control.outputs_off();
         let Some(s) = self.stopping() else { return };
         if s.wait == Wait::Rest {
             s.position = Position::Unknown;
@@ -317,6 +320,11 @@ impl Core {
             }
             out.push(Action::Write(Device::Control, b"\nM112\n".to_vec()));
             return self.begin_off(out);
+        }
+        if s.wait == Wait::Reset {
+            // Nothing was said yet to what must be off, and the reset itself is not confirmed.
+            s.not_off.extend(module);
+            s.not_off.extend(outputs.iter().map(ToString::to_string));
         }
         let rest: Vec<String> = s.off.drain(..).map(|(_, c)| c).collect();
         s.not_off.extend(rest);

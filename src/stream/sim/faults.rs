@@ -1,6 +1,6 @@
 //! A seeded script of faults between a sender and a simulated device.
 
-use super::{Sim, SimSetup};
+use super::{Sim, SimSetup, Wire};
 use crate::base::Rng;
 use crate::stream::core::{Micros, SECOND};
 use rand::RngExt as _;
@@ -102,14 +102,15 @@ pub struct Faulty {
     /// It has begun anew, and says so at once: no stall hides that.
     boots: bool,
     pub hung_up: bool,
-    /// Whole lines that reached the device before the first damaged byte; None while none was.
-    pub clean_lines: Option<u64>,
-    lines: u64,
+    /// What crossed the line to the device; kept only where it records.
+    pub wire: Option<Wire>,
 }
 
 impl Faulty {
     pub fn new(setup: SimSetup, script: Script) -> Faulty {
+        let counted = setup.records && !setup.dialect.is_numbered();
         Faulty {
+            wire: counted.then(|| Wire::new(setup.dialect)),
             sim: Sim::new(setup),
             script,
             seen: [0; 2],
@@ -120,8 +121,6 @@ impl Faulty {
             unread: Vec::new(),
             boots: false,
             hung_up: false,
-            clean_lines: None,
-            lines: 0,
         }
     }
 
@@ -141,6 +140,9 @@ impl Faulty {
                         self.stalled = None;
                         self.boots = true;
                         self.sim.power_cycle(now);
+                        if let Some(wire) = &mut self.wire {
+                            wire.power_cycle();
+                        }
                     }
                     Fault::HangUp(at) if at == n => self.hung_up = true,
                     Fault::Stall(at, takes) if at == n && !self.boots => {
@@ -150,14 +152,20 @@ impl Faulty {
                 }
             }
             let arrives = self.damaged(Way::ToDevice, n, *b);
-            if arrives != [*b] && self.clean_lines.is_none() {
-                self.clean_lines = Some(self.lines);
+            let mut heard = Vec::new();
+            for a in arrives {
+                let deaf = self.sim.record().deaf;
+                if self.stalled.is_some() {
+                    self.unread.push(a);
+                } else {
+                    self.sim.receive(&[a], now);
+                }
+                if self.sim.record().deaf == deaf {
+                    heard.push(a);
+                }
             }
-            self.lines += u64::from(*b == b'\n');
-            if self.stalled.is_some() {
-                self.unread.extend(arrives);
-            } else {
-                self.sim.receive(&arrives, now);
+            if let Some(wire) = &mut self.wire {
+                wire.carry(*b, &heard);
             }
         }
         self.collect();

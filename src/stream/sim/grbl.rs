@@ -263,10 +263,11 @@ impl Grbl {
                 let line = std::mem::take(&mut self.line);
                 let too_long = std::mem::take(&mut self.too_long);
                 self.record.lines += 1;
+                let text = String::from_utf8_lossy(&line).into_owned();
                 if too_long {
+                    self.read(&text);
                     return self.refuse(11);
                 }
-                let text = String::from_utf8_lossy(&line).into_owned();
                 self.block(&text, now);
             }
             // Comments count towards the line on none of them; spaces neither.
@@ -275,9 +276,18 @@ impl Grbl {
         }
     }
 
+    fn read(&mut self, text: &str) {
+        if self.setup.records {
+            self.record.read.push((text.into(), true));
+        }
+    }
+
     fn refuse(&mut self, code: u32) {
         if self.hal() {
             self.sticky = Some(code);
+        }
+        if let Some(last) = self.record.read.last_mut() {
+            last.1 = false;
         }
         self.say(&format!("error:{code}"));
     }
@@ -292,8 +302,9 @@ impl Grbl {
             self.sticky = None;
             return self.say("ok");
         }
+        self.read(text);
         if let Some(code) = self.sticky {
-            return self.say(&format!("error:{code}"));
+            return self.refuse(code);
         }
         if text.starts_with('$') {
             return self.dollar(text, now);

@@ -13,8 +13,10 @@ mod grbl;
 mod marlin;
 mod motion;
 mod plain;
+mod wire;
 
 pub use faults::{Fault, Faulty, Script as FaultScript, Way as FaultWay};
+pub use wire::{Arrival, Wire};
 
 use super::core::{Micros, SECOND};
 use super::modal::{Module, Rates};
@@ -71,6 +73,8 @@ impl SimSetup {
 pub struct Record {
     /// Lines taken to be run, in order.
     pub run: Vec<String>,
+    /// Lines read, whether they were taken or refused, in order.
+    pub read: Vec<(String, bool)>,
     /// Lines whose motion is over.
     pub moved: Vec<String>,
     /// Bytes lost because the receive buffer was full.

@@ -93,8 +93,9 @@ impl Plain {
                 (true, true) => format!("ok {text}"),
                 (true, false) => "ok".into(),
             };
-            if known && self.setup.records {
-                self.record.run.push(text);
+            if self.setup.records {
+                self.record.read.push((text.clone(), known));
+                self.record.run.extend(known.then_some(text));
             }
             self.acts = Some((now + ACTING, answer));
         }
