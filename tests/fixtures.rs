@@ -78,7 +78,7 @@ fn every_mesh_is_a_closed_surface_on_the_base_plane() {
             assert_eq!(flat, None, "{}: a triangle without area", pair.name);
             let (bounds, size) = (mesh.bounds(), mesh.bounds().size());
             assert_eq!(bounds.min.z, 0.0, "{}", pair.name);
-            assert!(size.max_element() <= 63.0 && size.min_element() >= 15.0, "{}", pair.name);
+            assert!(size.max_element() <= 63.0 && size.min_element() >= 5.0, "{}", pair.name);
             assert!((100..5000).contains(&mesh.triangles().len()), "{}", pair.name);
         }
     }

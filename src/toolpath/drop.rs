@@ -285,6 +285,18 @@ mod tests {
     }
 
     #[test]
+    fn a_triangle_without_area_is_touched_along_its_edge() {
+        let top = DVec3::new(0.0, 0.4387769796140071, 2.4203529793814607);
+        let t = [DVec3::ZERO, top, DVec3::ZERO];
+        let drop = DropCutter::new(vec![t], 1.0);
+        for end in ENDS {
+            let sampled = by_points(end, DVec2::ZERO, &t, 2000);
+            let exact = drop.height(end, DVec2::ZERO).expect("it is under the end");
+            assert!((exact - sampled).abs() < 0.01, "{end:?}: {exact} {sampled}");
+        }
+    }
+
+    #[test]
     fn contacts_by_hand() {
         let ball = End::Ball { radius: 2.0 };
         // A plane at 45°: the ball's centre is r away, r√2 above it along the axis.
