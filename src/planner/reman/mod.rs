@@ -3,12 +3,12 @@
 //!
 //! | symbol | here | meaning |
 //! |---|---|---|
-//! | Ṽ_R, Ṽ_S, Ṽ_A | [`Volumes`] | M ∩ M*, M − M*, M* − M |
+//! | Ṽ_R, Ṽ_S, Ṽ_A | [`crate::region::Volumes`] | M ∩ M*, M − M*, M* − M |
 //! | V_T | target material above the planes | removed first, added again |
 //! | B̃, b_i | [`PrintingBase`] | the interface of Ṽ_R and Ṽ_A, its components |
 //! | c̃_ij, W_ij, ℂ | `candidates` | candidate planes, their weights, the chosen ones |
 //! | V_S, V_A | `cutting`, `printing` | Ṽ_S + V_T in blocks, Ṽ_A + V_T in blocks |
-//! | c_i^L, ℂ^L | [`Clip`], `local`, `refine` | local planes, and their choice |
+//! | c_i^L, ℂ^L | `clip`, `local`, `refine` | local planes, and their choice |
 //!
 //! Stages, in the paper's order: volumes and bases (Sec. 3.1; [`crate::region`]), candidate planes
 //! and set cover (Sec. 4.1; `candidates`), global planes that make every region accessible (Sec.
@@ -146,6 +146,10 @@ pub struct Report {
 /// Nor is printing tried again then with some space left free.
 const MENDABLE_SHARE: f64 = 0.02;
 
+/// Voxels that the plan under global planes prints, above which no local planes are looked for:
+/// every trial prints about as many again, which takes a minute there.
+const LOCAL_VOXELS: usize = 400_000;
+
 /// Edge in mm of the cells in which inaccessible material is counted (W2V samples every 2 mm).
 const COUNT_CELL_MM: f64 = 2.0;
 
@@ -205,7 +209,16 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             let kept = global.volumes.reused.count() as f64;
             let most = first.reused.count() as f64;
             let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
-            let enough = is_complete(&global, job) && !more;
+            let too_large = global.printed() > LOCAL_VOXELS;
+            if too_large && !is_complete(&global, job) {
+                run.report.notes.push(format!(
+                    "Local planes were not looked for: the plan prints {} voxels, more than {}; a \
+                     coarser --resolution looks for them",
+                    global.printed(),
+                    LOCAL_VOXELS
+                ));
+            }
+            let enough = too_large || is_complete(&global, job) && !more;
             let local = match !enough && !ctx.out_of_time() {
                 true => local_route(&mut run, &global)?,
                 false => None,

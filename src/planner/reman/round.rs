@@ -8,7 +8,7 @@ use super::reasons::open_below;
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options};
 use crate::base::{Ctx, Direction};
-use crate::plan::{Job, Step};
+use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
 use crate::region::Volumes;
 use crate::voxel::{BitGrid, Connectivity, components, distance_within};
@@ -68,6 +68,12 @@ impl Attempt {
             (_, true) => (1, given_up + RESIDUAL_WEIGHT * residual),
             (n, false) => (2, n),
         }
+    }
+
+    /// Voxels of its additive steps and those it misses.
+    pub fn printed(&self) -> usize {
+        let additive = self.steps.iter().filter(|s| s.kind == StepKind::Additive);
+        additive.map(|s| s.region.count()).sum::<usize>() + self.deficit.count()
     }
 
     /// Whether what it leaves is within the rules' deviation.
