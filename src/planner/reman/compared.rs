@@ -8,7 +8,7 @@ use super::Run;
 use super::clip::Clip;
 use super::coarse::Coarse;
 use super::global::shifted;
-use super::round::{Attempt, attempt, quick_attempt};
+use super::round::{Attempt, Mending, attempt};
 use super::setting::Setting;
 use crate::base::Direction;
 use crate::plan::{Job, Plane};
@@ -36,7 +36,14 @@ impl Trial<'_, '_> {
         let Run { start, options, ctx, .. } = self.run;
         ctx.check()?;
         let clips = planes.iter().map(|p| Clip::global(*p)).collect();
-        let made = quick_attempt(self.setting, self.look, clips, &start.preferred, options, ctx)?;
+        let made = attempt(
+            self.setting,
+            self.look,
+            clips,
+            &start.preferred,
+            (options, Mending::None),
+            ctx,
+        )?;
         let most = COARSE_RESIDUAL_SHARE * self.job.target.count() as f64;
         Ok(made.residual() as f64 <= most)
     }
@@ -45,7 +52,14 @@ impl Trial<'_, '_> {
 fn made(run: &mut Run, planes: &[Plane]) -> Result<Attempt, PlanError> {
     let Run { start, options, ctx, report, clock, .. } = run;
     let clips = planes.iter().map(|p| Clip::global(*p)).collect();
-    let made = attempt(start.setting, start.coarse, clips, &start.preferred, options, ctx)?;
+    let made = attempt(
+        start.setting,
+        start.coarse,
+        clips,
+        &start.preferred,
+        (options, Mending::Some),
+        ctx,
+    )?;
     report.count_inaccessible(start.setting.job, &made.excess, &made.deficit);
     clock.lap("blocks");
     Ok(made)

@@ -6,7 +6,7 @@
 
 use super::candidates::{Element, cover};
 use super::clip::Clip;
-use super::round::{Attempt, attempt};
+use super::round::{Attempt, Mending, attempt};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Report, Run, Start};
 use crate::base::Direction;
@@ -34,7 +34,8 @@ pub fn global_route(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError
     for round in 0..ROUNDS {
         ctx.check()?;
         let clips = planes.iter().map(|p| Clip::global(*p)).collect();
-        let made = attempt(setting, coarse, clips, &start.preferred, options, ctx)?;
+        let made =
+            attempt(setting, coarse, clips, &start.preferred, (options, Mending::Some), ctx)?;
         clock.lap("blocks");
         made.tell("global", round);
         if round == 0 {

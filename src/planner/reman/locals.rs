@@ -13,7 +13,7 @@ use super::clip::Clip;
 use super::coarse::Coarse;
 use super::local::{Candidate, Scope};
 use super::refine::refine;
-use super::round::{Attempt, attempt, quick_attempt, volumes};
+use super::round::{Attempt, Mending, attempt, volumes};
 use super::setting::Setting;
 use super::{Clock, Options, Report, Run, Start};
 use crate::base::{Ctx, Direction};
@@ -53,7 +53,14 @@ pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pla
     if (promised < least && best.is_valid(job)) || clips == best.clips {
         return Ok(None);
     }
-    let made = attempt(start.setting, start.coarse, clips, &start.preferred, options, ctx)?;
+    let made = attempt(
+        start.setting,
+        start.coarse,
+        clips,
+        &start.preferred,
+        (options, Mending::Some),
+        ctx,
+    )?;
     clock.lap("blocks");
     made.tell("local", 0);
     improved(run, made).map(Some)
@@ -83,7 +90,14 @@ pub fn improved(run: &mut Run, mut best: Attempt) -> Result<Attempt, PlanError> 
         }
         let mut clips = best.clips.clone();
         clips.extend(more.iter().map(|c| fine_clip(c, &cells, job.frame.dims)));
-        let made = attempt(start.setting, start.coarse, clips, &start.preferred, options, ctx)?;
+        let made = attempt(
+            start.setting,
+            start.coarse,
+            clips,
+            &start.preferred,
+            (options, Mending::Some),
+            ctx,
+        )?;
         clock.lap("blocks");
         made.tell("improved", round);
         if made.rank(job) >= best.rank(job) {
@@ -129,7 +143,8 @@ impl Route<'_> {
             });
             let clips: Vec<Clip> = clips.collect();
             let preferred = &self.start.preferred;
-            let made = quick_attempt(&setting, &look, clips, preferred, self.options, ctx)?;
+            let made =
+                attempt(&setting, &look, clips, preferred, (self.options, Mending::None), ctx)?;
             clock.lap("blocks");
             made.tell("coarse", round);
             let left = [made.excess.minus(&made.below), made.deficit.clone()];

@@ -90,36 +90,22 @@ impl Attempt {
     }
 }
 
+/// How often printing is tried again where it leaves a little.
+#[derive(Clone, Copy)]
+pub enum Mending {
+    /// As long as [`MENDING_VOXELS`] allow.
+    Some,
+    /// Never: for a look at what planes are worth.
+    None,
+}
+
 /// Makes the blocks under some planes.
 pub fn attempt(
     setting: &Setting,
     coarse: &Coarse,
     clips: Vec<Clip>,
     preferred: &[Direction],
-    options: &Options,
-    ctx: &Ctx,
-) -> Result<Attempt, PlanError> {
-    made(setting, coarse, clips, preferred, (options, MENDING_VOXELS), ctx)
-}
-
-/// The same without a second try at what printing leaves: for a look at what planes are worth.
-pub fn quick_attempt(
-    setting: &Setting,
-    coarse: &Coarse,
-    clips: Vec<Clip>,
-    preferred: &[Direction],
-    options: &Options,
-    ctx: &Ctx,
-) -> Result<Attempt, PlanError> {
-    made(setting, coarse, clips, preferred, (options, 0), ctx)
-}
-
-fn made(
-    setting: &Setting,
-    coarse: &Coarse,
-    clips: Vec<Clip>,
-    preferred: &[Direction],
-    (options, mending): (&Options, usize),
+    (options, mending): (&Options, Mending),
     ctx: &Ctx,
 ) -> Result<Attempt, PlanError> {
     let job = setting.job;
@@ -154,14 +140,18 @@ fn printed(
     setting: &Setting,
     coarse: &Coarse,
     wanted: &Wanted,
-    mending: usize,
+    mending: Mending,
     ctx: &Ctx,
 ) -> Result<Printing, PlanError> {
     let left = |p: &Printing| p.unreached.count_and(wanted.core);
     let mut shares: Vec<Share> = Vec::new();
     let mut best = print_blocks(setting, coarse, wanted, &shares, ctx)?;
     let most = (MENDABLE_SHARE * setting.job.target.count() as f64) as usize;
-    let mut tries = mending / wanted.core.count().max(1);
+    let most_voxels = match mending {
+        Mending::Some => MENDING_VOXELS,
+        Mending::None => 0,
+    };
+    let mut tries = most_voxels / wanted.core.count().max(1);
     'mending: while (1..=most).contains(&left(&best)) {
         for share in best.shares.iter().skip(1) {
             if tries == 0 || ctx.out_of_time() {
