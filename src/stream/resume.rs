@@ -87,15 +87,19 @@ pub fn resume(
     if last.sha256 != program.sha256() {
         return Err(Refusal::OtherProgram);
     }
-    let (mut held, mut unconfirmed) = (None, Some("the job was cut off".to_string()));
-    if let Some(Entry::End { ending, work, not_off, .. }) = &last.end {
+    let on_way_back = last.at.is_some() && last.counts.written < last.from;
+    let (mut held, mut rests) = (None, false);
+    let mut unconfirmed = Some("the job was cut off".to_string());
+    if let Some(Entry::End { ending, work, machine, not_off, .. }) = &last.end {
         if ending == "done" {
             return Err(Refusal::Done);
         }
         held = work.clone().filter(|w| w.len() >= 3);
+        // On the way back no point of the program is looked for: any coordinates will do.
+        rests = held.is_some() || (on_way_back && machine.is_some());
         unconfirmed = (!not_off.is_empty()).then(|| format!("{} unconfirmed", not_off.join(", ")));
     }
-    if held.is_none() && !said.position_known {
+    if !rests && !said.position_known {
         return Err(Refusal::PositionUnknown);
     }
     let script = &full.script;
@@ -115,9 +119,7 @@ pub fn resume(
         }
         (Some(line), _) => (script.index_of(line), None),
         // Stopped on its way back: where the job before it was stopped still holds.
-        (None, _) if last.at.is_some() && last.counts.written < last.from => {
-            (script.index_of(last.from), last.at)
-        }
+        (None, _) if on_way_back => (script.index_of(last.from), last.at),
         (None, Some(at)) => {
             let point = [at[0], at[1], at[2]];
             (find(script, &rates, [first, beyond], point)?, Some(point))
@@ -431,6 +433,12 @@ mod tests {
         };
         let again = on_the_way([3.0, 1.0, 600.0], &[]);
         assert_eq!(go(&again, Said::default()).unwrap(), whole);
+        // So short a job may never have been told its offset.
+        let mut told = again.clone();
+        if let Some(Entry::End { work, machine, .. }) = &mut told.end {
+            *machine = work.take();
+        }
+        assert_eq!(go(&told, Said::default()).unwrap(), whole);
         let cut = Last { end: None, ..again.clone() };
         assert_eq!(go(&cut, Said::default()), Err(Refusal::PositionUnknown));
         let said = Said { position_known: true, from_line: None };
