@@ -1,6 +1,6 @@
 use super::*;
 use crate::base::Ctx;
-use crate::toolpath::tests::{MACHINES, WORLDS, World, pocket, tilted, tower};
+use crate::toolpath::tests::{MACHINES, WORLDS, World, pocket, tilted, tower, treads};
 use crate::toolpath::{Toolpaths, for_unverified};
 
 pub(super) fn paths(w: &World) -> Toolpaths {
@@ -233,6 +233,37 @@ fn a_program_of_another_plan_does_less_or_more_than_promised() {
     let p = paths(&w);
     let r = check(&text, &w.job, &w.plan, Some(&p), &Ctx::quiet()).unwrap();
     assert!(r.findings.iter().any(|f| f.rule == Rule::Volume), "{}", told(&r));
+}
+
+#[test]
+fn a_missing_layer_is_caught_by_the_feed_of_the_next() {
+    let w = treads("generic-5axis");
+    let text = posted(&w);
+    let height = |l: &str| {
+        let z = l.split(' ').find_map(|w| w.strip_prefix('Z'))?;
+        z.parse::<f64>().ok().filter(|_| !l.starts_with("G53"))
+    };
+    // Blocks of text by height; the third layer goes.
+    let (mut z, mut heights) = (0.0, Vec::new());
+    for l in text.lines() {
+        z = height(l).unwrap_or(z);
+        heights.push(z);
+    }
+    let laid = lines_where(&text, |l| l == "M72");
+    let mut layers: Vec<f64> = laid.iter().map(|l| heights[*l]).collect();
+    layers.dedup();
+    let gone = layers[2];
+    let bead = |i: usize| laid.iter().any(|on| *on == i + 1) && heights[i + 1] == gone;
+    let mut skip = false;
+    let kept = text.lines().enumerate().filter(|(i, l)| {
+        skip |= bead(*i);
+        let keep = !skip;
+        skip &= *l != "M73";
+        keep
+    });
+    let text: String = kept.map(|(_, l)| format!("{l}\n")).collect();
+    let r = report(&w, &text);
+    assert!(r.findings.iter().any(|f| f.rule == Rule::Feed), "{}", told(&r));
 }
 
 #[test]

@@ -123,11 +123,24 @@ pub(crate) fn tilted(machine: &str) -> World {
     )
 }
 
+/// A step of a stair, and a block on each tread: of one additive step two bodies, the upper of
+/// which begins where the lower has long ended.
+pub(crate) fn treads(machine: &str) -> World {
+    let stair: Part = |p| p.z < if p.x < 16.0 { 4.0 } else { 12.0 };
+    let blocks: Part = |p| {
+        let low = p.x > 1.0 && p.x < 6.0 && p.z < 7.0;
+        let high = p.x > 18.0 && p.x < 23.0 && p.z < 15.0;
+        (low || high) && p.y > 3.0 && p.y < 9.0
+    };
+    let size = DVec3::new(24.0, 12.0, 16.0);
+    world(machine, 0.5, size, stair, &[(StepKind::Additive, DVec3::Z, blocks)])
+}
+
 /// Makes a world for the machine of this name.
 pub(crate) type Make = fn(&str) -> World;
 
-pub(crate) const WORLDS: [(&str, Make); 3] =
-    [("pocket", pocket), ("tower", tower), ("tilted", tilted)];
+pub(crate) const WORLDS: [(&str, Make); 4] =
+    [("pocket", pocket), ("tower", tower), ("tilted", tilted), ("treads", treads)];
 
 fn paths(w: &World) -> Vec<Toolpath> {
     for_unverified(&w.job, &w.plan, &Ctx::quiet()).unwrap().all().to_vec()

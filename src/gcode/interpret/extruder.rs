@@ -2,7 +2,8 @@
 
 use super::Interpreter;
 use crate::gcode::report::Rule;
-use crate::plan::StepKind;
+use crate::plan::{Step, StepKind};
+use crate::voxel::Frame;
 
 /// Largest relative error of a bead's feed: a hundredth more or less material.
 const BEAD_FEED: f64 = 0.01;
@@ -15,6 +16,48 @@ const SAME_LAYER_MM: f64 = 0.01;
 
 /// Error of a layer's thickness from written positions, mm.
 const WRITTEN_MM: f64 = 0.002;
+
+/// Heights along its direction at which a step adds anything: where it adds nothing over a layer's
+/// height, another body begins above, on a floor of its own.
+#[derive(Default)]
+pub(super) struct Storeys {
+    lowest: f64,
+    /// Whether anything is added in each stretch of `STOREY_MM`.
+    filled: Vec<bool>,
+}
+
+/// Stretch of heights that is looked at as one, mm: half the thinnest layer nozzles lay.
+const STOREY_MM: f64 = 0.05;
+
+impl Storeys {
+    pub(super) fn of(step: &Step, frame: &Frame) -> Storeys {
+        let d = step.direction.vec();
+        let half = frame.pitch / 2.0 * d.abs().element_sum();
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for v in step.region.iter_ones() {
+            let height = d.dot(frame.center(v));
+            (low, high) = (low.min(height), high.max(height));
+        }
+        if low > high {
+            return Storeys::default();
+        }
+        let lowest = low - half;
+        let at = |height: f64| ((height - lowest) / STOREY_MM).max(0.0) as usize;
+        let mut filled = vec![false; at(high + half) + 1];
+        for v in step.region.iter_ones() {
+            let height = d.dot(frame.center(v));
+            filled[at(height - half)..=at(height + half)].fill(true);
+        }
+        Storeys { lowest, filled }
+    }
+
+    /// Whether nothing is added anywhere in some stretch between two heights.
+    fn is_empty_in(&self, below: f64, above: f64) -> bool {
+        let from = ((below - self.lowest) / STOREY_MM).ceil().max(0.0) as usize;
+        let to = ((above - self.lowest) / STOREY_MM).floor().max(0.0) as usize;
+        self.filled.get(from..to.min(self.filled.len())).is_some_and(|s| s.contains(&false))
+    }
+}
 
 impl Interpreter<'_> {
     /// Filament alone: drawn back, or given again by as much.
@@ -113,14 +156,15 @@ impl Interpreter<'_> {
         let layer = tool.process.layer_mm;
         let nominal = e.feed_mm_min(&tool.process);
         if self.layers[1].is_none_or(|z| height > z + SAME_LAYER_MM) {
-            self.layers = [self.layers[1], Some(height)];
+            let nothing_between = |below: f64| self.storeys.is_empty_in(below, height - layer);
+            self.layers = [self.layers[1].filter(|z| !nothing_between(*z)), Some(height)];
         }
         let (want, within) = match self.layers {
             [Some(below), Some(z)] => {
                 let thick = z - below;
                 (nominal * layer / thick, BEAD_FEED + WRITTEN_MM / thick)
             }
-            // The first layer's floor is not in the program; a last layer may be the first.
+            // The floor of a body's first layer is not in the program; a last layer may be the first.
             _ => (nominal * feed.clamp(nominal / 2.0, nominal * 2.0) / nominal, BEAD_FEED),
         };
         if (feed - want).abs() > within * want {

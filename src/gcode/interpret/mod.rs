@@ -12,6 +12,7 @@ use crate::gcode::words::{Word, read};
 use crate::machine::{AxisValues, Machine, Placement, RotaryAngles, Tool};
 use crate::plan::{Job, Plan, StepKind};
 use crate::toolpath::rest_to_rest;
+use extruder::Storeys;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::gcode) enum Gait {
@@ -110,6 +111,7 @@ struct Interpreter<'a> {
     chosen: Option<f64>,
     /// Heights of the last two layers of beads in this step, mm.
     layers: [Option<f64>; 2],
+    storeys: Storeys,
     /// S word of an M42 block.
     level: Option<f64>,
     compensated: bool,
@@ -157,6 +159,7 @@ impl<'a> Interpreter<'a> {
             drawn: false,
             chosen: None,
             layers: [None; 2],
+            storeys: Storeys::default(),
             level: None,
             compensated: false,
             held_anew: false,
@@ -362,6 +365,10 @@ impl<'a> Interpreter<'a> {
                 .find(Rule::Tool, format!("tool change {n}, but the plan has {most} steps"));
         };
         let job = self.setting.job;
+        self.storeys = match step.kind {
+            StepKind::Additive => Storeys::of(step, &job.frame),
+            StepKind::Subtractive => Storeys::default(),
+        };
         let tools = job.cutters.iter().chain(&job.nozzles);
         let want = tools.map(|t| &t.name).position(|t| *t == step.tool).map(|i| i as f64 + 1.0);
         if want.is_none() || self.chosen != want {
