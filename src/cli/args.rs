@@ -92,6 +92,10 @@ pub struct PlanArgs {
     /// What the setup search scores: reused volume and printing bases, or one of them alone
     #[arg(long, value_enum, default_value_t = SetupScoreArg::Both, help_heading = "Search")]
     pub setup_score: SetupScoreArg,
+    /// Rounds of cuts and then deposits of planner reman: what a round leaves gets one more, as
+    /// long as that leaves less
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10))]
+    pub rounds: u32,
     /// Iterations of the search for local planes
     #[arg(long, default_value_t = 500, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=10_000_000), help_heading = "Search")]

@@ -151,6 +151,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         },
         reman: reman::Options {
             iterations: args.iterations as usize,
+            rounds: args.rounds as usize,
             search: match args.search {
                 args::SearchArg::Mcts => reman::Search::Mcts,
                 args::SearchArg::Random => reman::Search::Random,

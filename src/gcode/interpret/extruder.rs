@@ -1,6 +1,7 @@
 //! What the extruder's codes, its pin and its filament do while a program runs.
 
 use super::Interpreter;
+use crate::base::DVec3;
 use crate::gcode::report::Rule;
 use crate::plan::{Step, StepKind};
 use crate::voxel::Frame;
@@ -17,12 +18,13 @@ const SAME_LAYER_MM: f64 = 0.01;
 /// Error of a layer's thickness from written positions, mm.
 const WRITTEN_MM: f64 = 0.002;
 
-/// Heights along its direction at which a step adds anything: where it adds nothing over a layer's
-/// height, another body begins above, on a floor of its own.
+/// Heights along its direction at which a step adds something wide enough that a bead must be laid
+/// there: a section less than two beads wide may get none, and where nothing is added at all,
+/// another body begins above, on a floor of its own.
 #[derive(Default)]
 pub(super) struct Storeys {
     lowest: f64,
-    /// Whether anything is added in each stretch of `STOREY_MM`.
+    /// Whether a bead must be laid in each stretch of `STOREY_MM`.
     filled: Vec<bool>,
 }
 
@@ -30,32 +32,39 @@ pub(super) struct Storeys {
 const STOREY_MM: f64 = 0.05;
 
 impl Storeys {
-    pub(super) fn of(step: &Step, frame: &Frame) -> Storeys {
-        let d = step.direction.vec();
-        let half = frame.pitch / 2.0 * d.abs().element_sum();
-        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for v in step.region.iter_ones() {
-            let height = d.dot(frame.center(v));
-            (low, high) = (low.min(height), high.max(height));
-        }
-        if low > high {
+    /// Of a step whose beads are `width` mm wide.
+    pub(super) fn of(step: &Step, frame: &Frame, width: f64) -> Storeys {
+        let plane = step.direction.image_plane();
+        let half = frame.pitch / 2.0 * plane.d.abs().element_sum();
+        let around: [DVec3; 8] = std::array::from_fn(|i| {
+            let (sin, cos) = (std::f64::consts::FRAC_PI_4 * i as f64).sin_cos();
+            width * (cos * plane.u + sin * plane.v)
+        });
+        let inside = |p: DVec3| frame.voxel_at(p).is_some_and(|v| step.region.get(v));
+        let wide = |p: &DVec3| around.iter().all(|a| inside(*p + *a));
+        let centers = step.region.iter_ones().map(|v| frame.center(v));
+        let heights: Vec<f64> = centers.filter(wide).map(|p| plane.height(p)).collect();
+        let Some(low) = heights.iter().copied().reduce(f64::min) else {
             return Storeys::default();
-        }
+        };
         let lowest = low - half;
         let at = |height: f64| ((height - lowest) / STOREY_MM).max(0.0) as usize;
-        let mut filled = vec![false; at(high + half) + 1];
-        for v in step.region.iter_ones() {
-            let height = d.dot(frame.center(v));
-            filled[at(height - half)..=at(height + half)].fill(true);
+        let mut filled = Vec::new();
+        for height in heights {
+            let (from, to) = (at(height - half), at(height + half));
+            filled.resize(filled.len().max(to + 1), false);
+            filled[from..=to].fill(true);
         }
         Storeys { lowest, filled }
     }
 
-    /// Whether nothing is added anywhere in some stretch between two heights.
+    /// Whether in some stretch between two heights no bead need be laid.
     fn is_empty_in(&self, below: f64, above: f64) -> bool {
-        let from = ((below - self.lowest) / STOREY_MM).ceil().max(0.0) as usize;
-        let to = ((above - self.lowest) / STOREY_MM).floor().max(0.0) as usize;
-        self.filled.get(from..to.min(self.filled.len())).is_some_and(|s| s.contains(&false))
+        let from = ((below - self.lowest) / STOREY_MM).ceil() as i64;
+        let to = ((above - self.lowest) / STOREY_MM).floor() as i64;
+        let filled =
+            |k: i64| usize::try_from(k).is_ok_and(|k| self.filled.get(k).copied().unwrap_or(false));
+        (from..to).any(|k| !filled(k))
     }
 }
 

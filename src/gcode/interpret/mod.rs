@@ -365,9 +365,9 @@ impl<'a> Interpreter<'a> {
                 .find(Rule::Tool, format!("tool change {n}, but the plan has {most} steps"));
         };
         let job = self.setting.job;
-        self.storeys = match step.kind {
-            StepKind::Additive => Storeys::of(step, &job.frame),
-            StepKind::Subtractive => Storeys::default(),
+        self.storeys = match (step.kind, job.tool(&step.tool)) {
+            (StepKind::Additive, Some(tool)) => Storeys::of(step, &job.frame, tool.process.path_mm),
+            _ => Storeys::default(),
         };
         let tools = job.cutters.iter().chain(&job.nozzles);
         let want = tools.map(|t| &t.name).position(|t| *t == step.tool).map(|i| i as f64 + 1.0);

@@ -29,6 +29,9 @@
 //! - Additive blocks are what one direction lays from below on the state before it, the largest
 //!   first; the paper takes two decompositions from elsewhere.
 //!   While little is left, printing is tried again with a later block's space left free.
+//! - On request (`rounds`) what a round of cuts and deposits left gets a round of its own: the
+//!   state it ends in is the initial part of the next, in which only what still stands of the real
+//!   one counts as reused. The paper names such rounds as future work.
 //! - A cut that would free a piece it does not reach leaves a bridge to it (`bridges`).
 //! - Directions are ranked on a coarser grid (`coarse`), and the blocks made on the job's own.
 //!
@@ -56,9 +59,9 @@ mod setting;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
-use crate::plan::{Job, Plan};
+use crate::plan::{Job, Plan, StepKind, end_state};
 use crate::planner::PlanError;
-use crate::region::{PrintingBase, printing_bases};
+use crate::region::{PrintingBase, Volumes, printing_bases};
 use crate::voxel::BitGrid;
 use candidates::Element;
 use clip::Clip;
@@ -66,8 +69,7 @@ use coarse::Coarse;
 use compared::{bottom_up, top_down};
 use global::{choose, global_route};
 use locals::{improved, is_complete, local_route};
-use reasons::reasons;
-use round::{deep, volumes};
+use round::{Attempt, deep, volumes};
 use setting::Setting;
 use std::time::Instant;
 
@@ -79,6 +81,8 @@ pub struct Options {
     pub iterations: usize,
     pub search: Search,
     pub cover: CoverMethod,
+    /// Rounds of cuts and then deposits, as long as one leaves less than the one before.
+    pub rounds: usize,
     pub seed: u64,
 }
 
@@ -115,6 +119,7 @@ impl Default for Options {
             iterations: 500,
             search: Search::Mcts,
             cover: CoverMethod::Ilp,
+            rounds: 1,
             seed: 0,
         }
     }
@@ -178,11 +183,61 @@ struct Run<'a> {
 pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), PlanError> {
     check(job)?;
     let setting = Setting::new(job);
+    let (first, mut report) = one_round(&setting, options, ctx)?;
+    let mut left = first.residual();
+    let mut worth = first.worth(job);
+    let mut reasons = first.reasons(&setting);
+    let mut steps = first.steps;
+    for round in 2..=options.rounds {
+        if left == 0 || ctx.out_of_time() {
+            break;
+        }
+        let so_far = end_state(job, &Plan { holdings: Vec::new(), steps: steps.clone() });
+        let kept = so_far.reused.count();
+        // What stands now has the surface of the target, but for what is left to do.
+        let initial_mesh = job.target_mesh.clone();
+        let next_job = Job { initial: so_far.state, initial_mesh, ..job.clone() };
+        let next = setting.of_next_round(&next_job, so_far.reused);
+        let (made, told) = one_round(&next, options, ctx)?;
+        report.add_seconds(&told);
+        let lost = kept - next.old_of(&made.volumes.reused).count();
+        made.tell("round", round);
+        if made.residual() >= left || worth.is_some_and(|w| lost > w) {
+            break;
+        }
+        left = made.residual();
+        worth = made.worth(job);
+        reasons = made.reasons(&next);
+        report.planes_global += told.planes_global;
+        report.planes_local += told.planes_local;
+        report.notes.push(format!(
+            "Round {round} of cuts and deposits gives up another {:.1} mm³ of the initial part.",
+            lost as f64 * job.frame.voxel_volume()
+        ));
+        let of_kind = |kind| steps.iter().filter(|s| s.kind == kind).count();
+        let [cuts, deposits] = [StepKind::Subtractive, StepKind::Additive].map(of_kind);
+        steps.extend(made.steps.into_iter().map(|mut s| {
+            s.block += if s.kind == StepKind::Subtractive { cuts } else { deposits };
+            s
+        }));
+    }
+    report.notes.extend(reasons);
+    let holdings = setting.numbered(&mut steps);
+    Ok((Plan { holdings, steps }, report))
+}
+
+/// One round of cuts and then deposits.
+fn one_round(
+    setting: &Setting,
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<(Attempt, Report), PlanError> {
+    let job = setting.job;
     let coarse = Coarse::of(job);
     let mut report = Report::default();
     let mut clock = Clock::default();
     let first = volumes(job, &[]);
-    let (_, added) = deep(job, &first);
+    let (_, added) = deep(setting, &first);
     let bases = printing_bases(&first.reused, &added, &job.initial_mesh, &job.frame);
     report.base_height_ratio = base_height_ratio(job, &bases);
     let mut preferred = vec![Direction::Z];
@@ -195,51 +250,51 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         .collect();
     clock.lap("graph");
     let normals = plane_normals(job, options.directions);
-    let planes = choose(&setting, &first, &bad_bases, &normals, options, &mut report)?;
+    let planes = choose(setting, &first, &bad_bases, &normals, options, &mut report)?;
     let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
     let initial = volumes(job, &clips).reused.count();
     report.reuse_initial = initial as f64 / job.target.count() as f64;
     report.planes_global = planes.len();
     clock.lap("set_cover");
-    let start = Start { setting: &setting, coarse: &coarse, preferred, bad_bases };
+    let start = Start { setting, coarse: &coarse, preferred, bad_bases };
     let mut run = Run { start: &start, normals: &normals, options, report, clock, ctx };
     let best = match options.search {
-        Search::Mcts | Search::Random => {
-            let global = global_route(&mut run, &first)?;
-            let kept = global.volumes.reused.count() as f64;
-            let most = first.reused.count() as f64;
-            let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
-            let too_large = global.printed() > LOCAL_VOXELS;
-            if too_large && !is_complete(&global, job) {
-                run.report.notes.push(format!(
-                    "Local planes were not looked for: the plan prints {} voxels, more than {}; a \
-                     coarser --resolution looks for them",
-                    global.printed(),
-                    LOCAL_VOXELS
-                ));
-            }
-            let enough = too_large || is_complete(&global, job) && !more;
-            let local = match !enough && !ctx.out_of_time() {
-                true => local_route(&mut run, &global)?,
-                false => None,
-            };
-            match local {
-                Some(local) if local.rank(job) < global.rank(job) => local,
-                _ if enough => global,
-                _ => improved(&mut run, global)?,
-            }
-        }
+        Search::Mcts | Search::Random => searched(&mut run, &first)?,
         Search::TopDown => top_down(&mut run, planes)?,
         Search::BottomUp => bottom_up(&mut run)?,
     };
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
-    let (excess, deficit) = (&best.excess, &best.deficit);
-    report.notes.extend(reasons(&setting, excess, &best.below, deficit));
     report.seconds = clock.laps;
-    let mut steps = best.steps;
-    let holdings = setting.numbered(&mut steps);
-    Ok((Plan { holdings, steps }, report))
+    Ok((best, report))
+}
+
+/// Global planes, and local ones where those gave up much or left something.
+fn searched(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError> {
+    let job = run.start.setting.job;
+    let global = global_route(run, first)?;
+    let kept = global.volumes.reused.count() as f64;
+    let most = first.reused.count() as f64;
+    let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
+    let too_large = global.printed() > LOCAL_VOXELS;
+    if too_large && !is_complete(&global, job) {
+        run.report.notes.push(format!(
+            "Local planes were not looked for: the plan prints {} voxels, more than {}; a \
+             coarser --resolution looks for them",
+            global.printed(),
+            LOCAL_VOXELS
+        ));
+    }
+    let enough = too_large || is_complete(&global, job) && !more;
+    let local = match !enough && !run.ctx.out_of_time() {
+        true => local_route(run, &global)?,
+        false => None,
+    };
+    match local {
+        Some(local) if local.rank(job) < global.rank(job) => Ok(local),
+        _ if enough => Ok(global),
+        _ => improved(run, global),
+    }
 }
 
 fn check(job: &Job) -> Result<(), PlanError> {
@@ -280,6 +335,16 @@ fn base_height_ratio(job: &Job, bases: &[PrintingBase]) -> Option<f64> {
 }
 
 impl Report {
+    /// Adds the times of a further round.
+    fn add_seconds(&mut self, further: &Report) {
+        for (stage, seconds) in &further.seconds {
+            match self.seconds.iter_mut().find(|(s, _)| s == stage) {
+                Some(l) => l.1 += seconds,
+                None => self.seconds.push((stage, *seconds)),
+            }
+        }
+    }
+
     /// #P_S and #P_A, from what blocks leave while all that the global planes keep stands.
     fn count_inaccessible(&mut self, job: &Job, excess: &BitGrid, deficit: &BitGrid) {
         self.inaccessible_sm = cells(job, excess);

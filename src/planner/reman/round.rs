@@ -4,14 +4,14 @@ use super::clip::Clip;
 use super::coarse::Coarse;
 use super::cutting::cut_blocks;
 use super::printing::{Printing, Share, Wanted, print_blocks};
-use super::reasons::open_below;
+use super::reasons::{open_below, reasons};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
 use crate::region::Volumes;
-use crate::voxel::{BitGrid, Connectivity, components, distance_within};
+use crate::voxel::{BitGrid, Connectivity, components};
 
 /// Printing is tried again, with some space left free, while all tries together lay at most so
 /// many voxels: seconds on two cores. Large parts get none, they would wait for minutes.
@@ -40,6 +40,11 @@ impl Attempt {
     /// Voxels left that a plane could mend.
     pub fn residual(&self) -> usize {
         self.excess.count() - self.below.count() + self.deficit.count()
+    }
+
+    /// Why it left what it left.
+    pub fn reasons(&self, setting: &Setting) -> Vec<String> {
+        reasons(setting, &self.excess, &self.below, &self.deficit)
     }
 
     /// Says how it went.
@@ -110,14 +115,14 @@ pub fn attempt(
 ) -> Result<Attempt, PlanError> {
     let job = setting.job;
     let volumes = volumes(job, &clips);
-    let (deep_removed, added) = deep(job, &volumes);
+    let (deep_removed, added) = deep(setting, &volumes);
     let mut along: Vec<Direction> = clips.iter().map(|c| c.plane.normal).collect();
     along.extend_from_slice(preferred);
     let cutting =
         cut_blocks(setting, coarse, &volumes.removed, &deep_removed, options.directions, ctx)?;
     // Material given up because nothing would hold it may be skin that no cut took: it stands.
     let added = added.minus(&cutting.state);
-    let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
+    let skin = setting.skin(&volumes.reused);
     let wanted = Wanted {
         state: &cutting.state,
         added: &added,
@@ -188,8 +193,9 @@ pub fn volumes(job: &Job, clips: &[Clip]) -> Volumes {
 
 /// Removed and added material that counts: the removed beyond skin, and every body of the added
 /// that has some beyond skin.
-pub fn deep(job: &Job, volumes: &Volumes) -> (BitGrid, BitGrid) {
-    let skin = distance_within(&volumes.reused, job.rules.tolerance_mm / job.frame.pitch);
+pub fn deep(setting: &Setting, volumes: &Volumes) -> (BitGrid, BitGrid) {
+    let job = setting.job;
+    let skin = setting.skin(&volumes.reused);
     let removed = volumes.removed.minus(&skin);
     let core = volumes.added.minus(&skin);
     let bodies = components(&volumes.added, Connectivity::Corner26);

@@ -3,7 +3,7 @@
 use crate::base::{DVec3, Direction, fibonacci_sphere};
 use crate::machine::{BaseKind, Holding, HoldingMode};
 use crate::plan::{Job, Step, StepKind};
-use crate::voxel::{BitGrid, Frame};
+use crate::voxel::{BitGrid, Frame, distance_within};
 
 /// The job with what follows from it once.
 pub struct Setting<'a> {
@@ -12,14 +12,13 @@ pub struct Setting<'a> {
     /// stands is known only when its turn comes: see [`Setting::held`].
     pub holdings: Vec<Holding>,
     first_fixed: Vec<DVec3>,
+    /// In a later round of cuts and deposits, what stands of the initial part: skin lies near that
+    /// alone. None in the first, where all that is kept is old.
+    old: Option<BitGrid>,
 }
 
 impl<'a> Setting<'a> {
     pub fn new(job: &'a Job) -> Self {
-        let mut holdings = vec![Holding::AS_CLAMPED];
-        if job.rules.holding == HoldingMode::Refixture {
-            holdings.push(turned_over(&job.initial.or(&job.target), &job.frame));
-        }
         let first_fixed = match job.rules.base {
             BaseKind::None => Vec::new(),
             BaseKind::Pedestal => job.machine.workholding.obstacle_points(
@@ -28,7 +27,24 @@ impl<'a> Setting<'a> {
                 &job.frame,
             ),
         };
-        Setting { job, holdings, first_fixed }
+        Setting { job, holdings: holdings(job), first_fixed, old: None }
+    }
+
+    /// The setting of a further round: `job` starts from what the rounds before left, `old` is what
+    /// they kept of the initial part. The pedestal stays as wide as it was.
+    pub fn of_next_round(&self, job: &'a Job, old: BitGrid) -> Self {
+        let first_fixed = self.first_fixed.clone();
+        Setting { job, holdings: holdings(job), first_fixed, old: Some(old) }
+    }
+
+    /// What of a set stands of the initial part.
+    pub fn old_of(&self, kept: &BitGrid) -> BitGrid {
+        self.old.as_ref().map_or_else(|| kept.clone(), |old| kept.and(old))
+    }
+
+    /// Everything within the surface tolerance of what is kept of the initial part.
+    pub fn skin(&self, kept: &BitGrid) -> BitGrid {
+        distance_within(&self.old_of(kept), self.job.rules.tolerance_mm / self.job.frame.pitch)
     }
 
     /// A holding that begins in `state`: turned over, the part stands on what is then its top.
@@ -92,6 +108,15 @@ impl<'a> Setting<'a> {
     pub fn sampled(&self, holding: usize, count: usize) -> Vec<Direction> {
         fibonacci_sphere(2 * count).into_iter().filter(|d| self.can_point(holding, *d)).collect()
     }
+}
+
+/// As clamped and, where the rules allow it, standing on its top.
+fn holdings(job: &Job) -> Vec<Holding> {
+    let mut holdings = vec![Holding::AS_CLAMPED];
+    if job.rules.holding == HoldingMode::Refixture {
+        holdings.push(turned_over(&job.initial.or(&job.target), &job.frame));
+    }
+    holdings
 }
 
 /// Standing on its top.
