@@ -92,6 +92,9 @@ pub struct PlanArgs {
     /// What the setup search scores: reused volume and printing bases, or one of them alone
     #[arg(long, value_enum, default_value_t = SetupScoreArg::Both, help_heading = "Search")]
     pub setup_score: SetupScoreArg,
+    /// Best placements of the setup search that planner reman plans in full; the best plan is kept
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=11))]
+    pub setup_candidates: u32,
     /// Rounds of cuts and then deposits of planner reman: what a round leaves gets one more, as
     /// long as that leaves less
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10))]

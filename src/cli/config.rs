@@ -45,6 +45,8 @@ pub struct PlanConfig {
     /// What planner reman is told.
     pub reman: reman::Options,
     pub setup_score: setup::Score,
+    /// Placements that are planned, the best first.
+    pub setup_candidates: usize,
     pub time_limit_s: Option<f64>,
     pub seed: u64,
     pub post_unverified: bool,
@@ -171,6 +173,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
             args::SetupScoreArg::Volume => setup::Score::Volume,
             args::SetupScoreArg::Base => setup::Score::Base,
         },
+        setup_candidates: candidates(args, nullified)?,
         time_limit_s: args.time_limit,
         seed: args.seed,
         post_unverified: args.post_unverified,
@@ -221,6 +224,22 @@ fn search(args: &PlanArgs) -> Result<Option<hybrid::Options>, Failure> {
         patience: usual.patience.filter(|_| args.time_limit.is_none()),
         ..usual
     }))
+}
+
+/// # Errors
+/// Several placements asked for where none is searched, or of a planner that takes one.
+fn candidates(args: &PlanArgs, nullified: bool) -> Result<usize, Failure> {
+    let reman = !nullified && args.planner != Some(Planner::Search);
+    match args.setup_candidates {
+        1 => Ok(1),
+        _ if !reman => Err(Failure::input(
+            "--setup-candidates goes with planner reman; the others plan one placement",
+        )),
+        _ if args.setup == Setup::Keep => Err(Failure::input(
+            "--setup keep leaves no placement to choose; leave out --setup-candidates",
+        )),
+        n => Ok(n as usize),
+    }
 }
 
 /// # Errors

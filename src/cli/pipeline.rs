@@ -34,6 +34,8 @@ pub struct Planned {
     pub schedule: Option<Schedule>,
     /// Of planner search.
     pub trace: Option<String>,
+    /// Of planner reman: how it compares with the plan of another placement.
+    pub standing: reman::Standing,
 }
 
 /// Searches the place of the target in the initial part, both standing.
@@ -46,6 +48,7 @@ pub fn search_setup(
     let mut options = SetupOptions {
         holding: config.rules.holding,
         score: config.setup_score,
+        refined: config.setup_candidates,
         ..SetupOptions::default()
     };
     options.grip_mm = config.rules.grip_mm.unwrap_or(options.grip_mm);
@@ -82,7 +85,7 @@ pub fn plan(
         notes: report.notes,
         ..PlannerFigures::default()
     };
-    Ok(Planned { plan, figures, schedule: None, trace: None })
+    Ok(Planned { plan, figures, schedule: None, trace: None, standing: report.standing })
 }
 
 fn searched(
@@ -100,7 +103,13 @@ fn searched(
         notes: r.notes,
         ..PlannerFigures::default()
     };
-    Ok(Planned { plan, figures, schedule: None, trace: Some(r.trace) })
+    Ok(Planned {
+        plan,
+        figures,
+        schedule: None,
+        trace: Some(r.trace),
+        standing: Default::default(),
+    })
 }
 
 fn nullified(
@@ -129,7 +138,7 @@ fn nullified(
         notes,
         ..PlannerFigures::default()
     };
-    Ok(Planned { plan, figures, schedule, trace: None })
+    Ok(Planned { plan, figures, schedule, trace: None, standing: Default::default() })
 }
 
 fn failure(e: PlanError) -> Failure {

@@ -9,11 +9,13 @@ use super::pipeline;
 use super::{progress, summary};
 use hmplan::base::{Ctx, DAffine3};
 use hmplan::machine::Tool;
-use hmplan::mesh::write_stl;
+use hmplan::mesh::{TriMesh, write_stl};
 use hmplan::plan::{
     Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Seconds, StepKind, Summary,
     end_state,
 };
+use hmplan::planner::reman;
+use hmplan::planner::setup::Candidate;
 use hmplan::report;
 use hmplan::verify::verify;
 use hmplan::voxel::{BitGrid, surface};
@@ -52,10 +54,11 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     let mut clock = Clock::start();
     let destination = Destination::claim(&config.output)?;
     let ctx = context(output, config.time_limit_s, config.seed)?;
-    let Prepared { job, inputs, notes } = prepare(config, &ctx, &mut clock)?;
-
-    let planned = pipeline::plan(&job, config, &ctx, &mut clock)?;
-    let pipeline::Planned { plan, mut figures, schedule, trace } = planned;
+    let mut parts = load(config, &mut clock)?;
+    let places = places(&mut parts, config, &ctx, &mut clock)?;
+    let Made { prepared, planned, notes } = best_of(&mut parts, &places, config, &ctx, &mut clock)?;
+    let Prepared { job, inputs } = prepared;
+    let pipeline::Planned { plan, mut figures, schedule, trace, .. } = planned;
     figures.notes.splice(0..0, notes);
     figures.notes.extend(inputs::below_base(&job));
     let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
@@ -145,14 +148,13 @@ pub fn context(output: &OutputArgs, limit: Option<f64>, seed: u64) -> Result<Ctx
     Ok(Ctx::new(cancel, deadline, progress::fitting(output), seed))
 }
 
-/// What there is before planning begins.
-struct Prepared {
-    job: Job,
-    inputs: Inputs,
-    notes: Vec<String>,
+/// The parts as they stand.
+struct Parts {
+    initial: Option<(Part, TriMesh)>,
+    target: Part,
 }
 
-fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<Prepared, Failure> {
+fn load(config: &PlanConfig, clock: &mut Clock) -> Result<Parts, Failure> {
     let (mut initial, mut target) = clock.time("load", || -> Result<_, Failure> {
         Ok((config.initial.as_ref().map(Part::read).transpose()?, Part::read(&config.target)?))
     })?;
@@ -165,28 +167,117 @@ fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<Prepared
         initial.iter_mut().zip(&config.initial).map(|(p, c)| (p, c.up)).collect();
     standing.push((&mut target, config.target.up));
     inputs::stand(&mut standing)?;
-    let initial_mesh = initial.as_ref().map(Part::placed).transpose()?;
-    let mut notes = Vec::new();
-    // INV keeps the poses of its voxels; a search would only apply to the other planners.
-    if let (Some(initial_mesh), Setup::Search) = (&initial_mesh, config.setup) {
-        let turned = DAffine3::from_mat3(config.target.up.to_z());
-        target.place(&turned);
-        let standing = target.placed()?;
-        let found =
-            clock.time("setup", || pipeline::search_setup(initial_mesh, &standing, config, ctx))?;
-        target.place(&(found.winner.transform * turned));
-        notes.push(found.note());
-    }
-    let target_mesh = target.placed()?;
+    let placed = |part: Part| part.placed().map(|mesh| (part, mesh));
+    Ok(Parts { initial: initial.map(placed).transpose()?, target })
+}
 
+/// A place of the target, and what to say of it.
+struct Place {
+    motion: DAffine3,
+    note: Option<String>,
+    reused_share: f64,
+}
+
+/// Where the target may stand, the best place first: as in its file, or as the setup search finds.
+fn places(
+    parts: &mut Parts,
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Vec<Place>, Failure> {
+    let (Some((_, initial_mesh)), Setup::Search) = (&parts.initial, config.setup) else {
+        let kept = parts.target.record.plan_from_part().unwrap_or(DAffine3::IDENTITY);
+        return Ok(vec![Place { motion: kept, note: None, reused_share: 0.0 }]);
+    };
+    let turned = DAffine3::from_mat3(config.target.up.to_z());
+    parts.target.place(&turned);
+    let standing = parts.target.placed()?;
+    let found =
+        clock.time("setup", || pipeline::search_setup(initial_mesh, &standing, config, ctx))?;
+    let place = |c: &Candidate| Place {
+        motion: c.transform * turned,
+        note: Some(found.note(c)),
+        reused_share: c.reused_share,
+    };
+    Ok([&found.winner].into_iter().chain(&found.others).map(place).collect())
+}
+
+/// A plan, and what it was made for.
+struct Made {
+    prepared: Prepared,
+    planned: pipeline::Planned,
+    notes: Vec<String>,
+}
+
+/// Plans every place, as long as there is time, and keeps the best plan.
+fn best_of(
+    parts: &mut Parts,
+    places: &[Place],
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Made, Failure> {
+    let plan_at = |parts: &mut Parts, place: &Place, clock: &mut Clock| -> Result<_, Failure> {
+        let prepared = prepare(parts, place, config, ctx, clock)?;
+        let planned = pipeline::plan(&prepared.job, config, ctx, clock)?;
+        let standing = planned.standing;
+        Ok((Made { prepared, planned, notes: place.note.clone().into_iter().collect() }, standing))
+    };
+    let told = |i: usize, place: &Place, s: &reman::Standing| {
+        let how = match s.class {
+            0 => format!("a complete plan that gives up {:.1} mm³", s.mm3),
+            1 => format!("{:.1} mm³ given up and, ten times, left", s.mm3),
+            _ => format!("{:.1} mm³ left, more than the rules allow", s.mm3),
+        };
+        let share = 100.0 * place.reused_share;
+        format!("Placement {} of {}, {share:.1} % inside: {how}.", i + 1, places.len())
+    };
+    let Some((first, others)) = places.split_first() else {
+        return Err(Failure::input("the setup search found no placement"));
+    };
+    let (mut best, mut standing) = plan_at(parts, first, clock)?;
+    let mut lines = vec![told(0, first, &standing)];
+    for (i, place) in others.iter().enumerate() {
+        if ctx.out_of_time() {
+            lines.push("The time limit came before the other placements.".into());
+            break;
+        }
+        let (made, s) = plan_at(parts, place, clock)?;
+        lines.push(told(i + 1, place, &s));
+        if s < standing {
+            (best, standing) = (made, s);
+        }
+    }
+    if !others.is_empty() {
+        best.notes.extend(lines);
+    }
+    Ok(best)
+}
+
+/// What there is before planning begins.
+struct Prepared {
+    job: Job,
+    inputs: Inputs,
+}
+
+fn prepare(
+    parts: &mut Parts,
+    place: &Place,
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Prepared, Failure> {
+    parts.target.place(&place.motion);
+    let target = &parts.target;
+    let target_mesh = target.placed()?;
+    let initial = parts.initial.as_ref();
     let tools: Vec<Tool> = config.cutters.iter().chain(&config.nozzles).cloned().collect();
-    let frame = inputs::frame(initial_mesh.as_ref(), &target_mesh, config.resolution_mm, &tools)?;
+    let frame = inputs::frame(initial.map(|i| &i.1), &target_mesh, config.resolution_mm, &tools)?;
     let (initial_solid, target_solid) = clock.time("voxelise", || -> Result<_, Failure> {
-        let initial = initial.as_ref().zip(initial_mesh.as_ref());
         let initial = initial.map(|(part, mesh)| inputs::solid(part, mesh, &frame, ctx));
         Ok((
             initial.transpose()?.unwrap_or_else(|| BitGrid::new(frame.dims)),
-            inputs::solid(&target, &target_mesh, &frame, ctx)?,
+            inputs::solid(target, &target_mesh, &frame, ctx)?,
         ))
     })?;
     let (mut cutters, mut nozzles) = (config.cutters.clone(), config.nozzles.clone());
@@ -204,15 +295,16 @@ fn prepare(config: &PlanConfig, ctx: &Ctx, clock: &mut Clock) -> Result<Prepared
         frame,
         initial: initial_solid,
         target: target_solid,
-        initial_mesh: initial_mesh.unwrap_or_default(),
+        initial_mesh: initial.map(|i| i.1.clone()).unwrap_or_default(),
         target_mesh,
         machine: config.machine.clone(),
         cutters,
         nozzles,
         rules,
     };
-    let inputs = Inputs { initial: initial.map(|i| i.record), target: target.record };
-    Ok(Prepared { job, inputs, notes })
+    let inputs =
+        Inputs { initial: initial.map(|i| i.0.record.clone()), target: target.record.clone() };
+    Ok(Prepared { job, inputs })
 }
 
 /// States written at most; of longer plans every n-th.

@@ -141,9 +141,21 @@ pub struct Report {
     pub planes_local: usize,
     /// Choices of local planes judged.
     pub judged: usize,
+    /// How good the plan is, to compare it with that of another placement of the target.
+    pub standing: Standing,
     /// Stage names and wall seconds.
     pub seconds: Vec<(&'static str, f64)>,
     pub notes: Vec<String>,
+}
+
+/// Of two plans of the same parts the lesser is the better one: complete before within the rules'
+/// deviation before neither.
+#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
+pub struct Standing {
+    /// 0 complete, 1 within the rules, 2 neither.
+    pub class: u8,
+    /// What is given up and, ten times, what is left; of a plan of the last class what is left, mm³.
+    pub mm3: f64,
 }
 
 /// A round of global planes that leaves more than this share of the target is the last: on real
@@ -186,6 +198,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let (first, mut report) = one_round(&setting, options, ctx)?;
     let mut left = first.residual();
     let mut worth = first.worth(job);
+    let mut rank = first.rank(job);
     let mut reasons = first.reasons(&setting);
     let mut steps = first.steps;
     for round in 2..=options.rounds {
@@ -207,6 +220,8 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         }
         left = made.residual();
         worth = made.worth(job);
+        // What counts as given up is what does not stand of the real initial part.
+        rank = made.rank_with(job, next.old_of(&made.volumes.reused).count());
         reasons = made.reasons(&next);
         report.planes_global += told.planes_global;
         report.planes_local += told.planes_local;
@@ -222,6 +237,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         }));
     }
     report.notes.extend(reasons);
+    report.standing = Standing { class: rank.0, mm3: rank.1 as f64 * job.frame.voxel_volume() };
     let holdings = setting.numbered(&mut steps);
     Ok((Plan { holdings, steps }, report))
 }

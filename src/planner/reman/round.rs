@@ -65,8 +65,13 @@ impl Attempt {
     /// they give up and, [`RESIDUAL_WEIGHT`] times, by what they leave, the others by what they
     /// leave.
     pub fn rank(&self, job: &Job) -> (u8, usize) {
+        self.rank_with(job, self.volumes.reused.count())
+    }
+
+    /// The same where only so many voxels count as reused.
+    pub fn rank_with(&self, job: &Job, reused: usize) -> (u8, usize) {
         let residual = self.residual();
-        let given_up = job.target.count().saturating_sub(self.volumes.reused.count());
+        let given_up = job.target.count().saturating_sub(reused);
         let valid = residual as f64 <= job.rules.deviation * job.target.count() as f64;
         match (residual, valid) {
             (0, _) => (0, given_up),

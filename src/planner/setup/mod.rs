@@ -27,8 +27,8 @@
 //! - The pose of the files, lowered or raised onto the base, always takes part in the fine stage:
 //!   files often come aligned. It is left only for a score that is better by more than noise.
 //! - The best placement of each carried rotation is shifted and turned about z by ever halved
-//!   steps while Score₂ gains, the winner on a finer grid: a tenth of the extent is coarser than
-//!   any tool.
+//!   steps while Score₂ gains, the winner (and as many more as are asked for) on a finer grid: a
+//!   tenth of the extent is coarser than any tool.
 //! - Placements that reuse far less than the best found do not compete, whatever their Score₂.
 //! - Min_B leaves out a speck of the interface, which would decide it by the grid alone.
 //!
@@ -118,6 +118,8 @@ pub struct SetupOptions {
     pub grip_mm: f64,
     pub holding: HoldingMode,
     pub score: Score,
+    /// Placements that are refined, the best first: each may then be planned.
+    pub refined: usize,
 }
 
 impl Default for SetupOptions {
@@ -128,6 +130,7 @@ impl Default for SetupOptions {
             grip_mm: 2.0,
             holding: HoldingMode::Base,
             score: Score::Both,
+            refined: 1,
         }
     }
 }
@@ -149,6 +152,8 @@ pub struct Candidate {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupReport {
     pub winner: Candidate,
+    /// The next best, refined as the winner is, as many as were asked for: no two the same.
+    pub others: Vec<Candidate>,
     /// The carried rotations and the pose of the files, each at its best place on the coarse grid,
     /// best first; those that reuse too little to compete come last.
     pub best: Vec<Candidate>,
@@ -156,10 +161,22 @@ pub struct SetupReport {
     pub tried: usize,
 }
 
+/// Placements are one and the same when no point of a part as large as its shift differs by more
+/// than these, mm and radians: below what a person could set up.
+const SAME_MM: f64 = 0.1;
+const SAME_TURN: f64 = 2e-3;
+
+impl Candidate {
+    fn is_same(&self, other: &Candidate) -> bool {
+        let (a, b) = (&self.transform, &other.transform);
+        let (_, degrees) = rotations::axis_angle(&(a.matrix3.transpose() * b.matrix3));
+        a.translation.distance(b.translation) < SAME_MM && degrees.to_radians() < SAME_TURN
+    }
+}
+
 impl SetupReport {
-    /// One sentence for people.
-    pub fn note(&self) -> String {
-        let w = &self.winner;
+    /// One sentence on one of the placements, for people.
+    pub fn note(&self, w: &Candidate) -> String {
         if w.reused_share == 0.0 {
             return format!(
                 "Setup: in none of {} poses is any of the initial part reused; the target keeps \
@@ -232,8 +249,21 @@ pub fn search(
     carried.sort_by(|a, b| b.rank(floor).total_cmp(&a.rank(floor)));
     let best = carried.iter().map(|t| t.candidate(anchor)).collect();
     let (winner, moves) = stage.refine(carried[0], floor)?;
-    let tried = rotations + shifts + nudges + moves;
-    Ok(SetupReport { winner: winner.candidate(anchor), best, tried })
+    let mut tried = rotations + shifts + nudges + moves;
+    let winner = winner.candidate(anchor);
+    let mut others: Vec<Candidate> = Vec::new();
+    for trial in carried.iter().skip(1).filter(|t| t.share >= floor) {
+        if others.len() + 1 >= options.refined {
+            break;
+        }
+        let (trial, moves) = stage.refine(*trial, floor)?;
+        tried += moves;
+        let candidate = trial.candidate(anchor);
+        if !others.iter().chain([&winner]).any(|o| o.is_same(&candidate)) {
+            others.push(candidate);
+        }
+    }
+    Ok(SetupReport { winner, others, best, tried })
 }
 
 /// Starts of which the best is ranked.

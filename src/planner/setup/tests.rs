@@ -39,7 +39,11 @@ fn the_same_part_twice_stays_where_it_is() {
     // All of it reused and nothing to print: both terms of the bases are whole.
     assert!((report.winner.score_fine - (0.4 + 0.6 * 2.0)).abs() < 1e-12);
     assert_eq!(report.best[0], report.winner, "nothing is left to refine");
-    assert!(report.note().contains("as in its file") && report.note().contains("100.0 %"));
+    assert!(
+        report
+            .note(&report.winner)
+            .contains("as in its file, shift (0.00, 0.00, 0.00) mm, 100.0 %")
+    );
 }
 
 #[test]
@@ -128,6 +132,40 @@ fn parts_without_volume_or_surface_are_named() {
     assert_eq!(which(&part, &sheet), "target");
 }
 
+/// Whether refining lost nothing: Score₂, or of placements that reuse too little to compete, what
+/// they reuse.
+fn gains(report: &SetupReport) -> bool {
+    let (refined, before) = (&report.winner, &report.best[0]);
+    refined.score_fine >= before.score_fine || refined.reused_share > before.reused_share
+}
+
+#[test]
+fn where_all_reuse_too_little_the_share_decides() {
+    let [x, y, z] = [1.1283531290448796, -1.2730504013546038, -0.4547203095546811];
+    let rotation =
+        DMat3::from_rotation_x(x) * DMat3::from_rotation_y(y) * DMat3::from_rotation_z(z);
+    let target = moved(
+        &stepped(),
+        rotation,
+        DVec3::new(71.09658325254688, -174.41790904802357, 41.39732714181249),
+    );
+    let initial = TriMesh::cuboid(
+        DVec3::ZERO,
+        DVec3::new(10.491610269926534, 15.30777197235184, 15.672659433489914),
+    );
+    let options = SetupOptions { rotations: 10, carried: 1, refined: 3, ..SetupOptions::default() };
+    let report = search(&initial, &target, &options, &Ctx::quiet()).unwrap();
+    for c in report.best.iter().chain([&report.winner]).chain(&report.others) {
+        let placed = target.transformed(&c.transform).unwrap();
+        assert!(placed.bounds().min.z.abs() < 1e-6, "{c:?}");
+        assert!((0.0..=1.0).contains(&c.reused_share) && (0.0..=1.6).contains(&c.score_fine));
+    }
+    assert!(report.others.len() <= 2 && !report.others.contains(&report.winner));
+    assert!(gains(&report));
+    let most = report.best.iter().map(|c| c.reused_share).fold(0.0, f64::max);
+    assert!(report.winner.reused_share >= LEAST_SHARE * most);
+}
+
 proptest! {
     // Each case is a whole search.
     #![proptest_config(ProptestConfig::with_cases(3))]
@@ -143,15 +181,17 @@ proptest! {
             * DMat3::from_rotation_z(turn[2]);
         let target = moved(&stepped(), rotation, DVec3::from_array(shift));
         let initial = TriMesh::cuboid(DVec3::ZERO, DVec3::from_array(size));
-        let options = SetupOptions { rotations: 10, carried: 1, ..SetupOptions::default() };
+        let options =
+            SetupOptions { rotations: 10, carried: 1, refined: 3, ..SetupOptions::default() };
         let report = search(&initial, &target, &options, &Ctx::quiet()).unwrap();
-        for c in report.best.iter().chain([&report.winner]) {
+        for c in report.best.iter().chain([&report.winner]).chain(&report.others) {
             let placed = target.transformed(&c.transform).unwrap();
             prop_assert!(placed.bounds().min.z.abs() < 1e-6, "{:?}", c);
             prop_assert!((0.0..=1.0).contains(&c.reused_share));
             prop_assert!((0.0..=1.6).contains(&c.score_fine));
         }
-        prop_assert!(report.winner.score_fine >= report.best[0].score_fine);
+        prop_assert!(report.others.len() <= 2 && !report.others.contains(&report.winner));
+        prop_assert!(gains(&report));
         let most = report.best.iter().map(|c| c.reused_share).fold(0.0, f64::max);
         prop_assert!(report.winner.reused_share >= LEAST_SHARE * most, "{:?}", report);
     }
