@@ -16,17 +16,14 @@
 use super::Scene;
 use super::filter::{Image, Kernel, Op, Spans, filter};
 use super::lattice::{DepthMap, Lattice};
-use crate::base::{Aabb, DVec2, DVec3, Direction, ImagePlane};
+use crate::base::{Aabb, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
 use crate::voxel::{BitGrid, Frame};
+use std::f64::consts::SQRT_2;
 
 /// Largest radius of a section in cells of the image it is treated on. Larger is slower by its
 /// square; smaller makes wide sections wider than they are (by at most √2/12 at this value).
 const WIDEST_CELLS: f64 = 24.0;
-
-/// Points that are turned into a direction's frame together: so few that they stay in a core's first
-/// cache.
-const POINTS: usize = 512;
 
 /// Spacing of the tip lattice of a direction, mm.
 fn spacing(frame: &Frame, direction: Direction) -> f64 {
@@ -38,6 +35,9 @@ fn spacing(frame: &Frame, direction: Direction) -> f64 {
 fn rounding_cells(direction: Direction) -> f64 {
     if direction.is_grid_axis() { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 }
 }
+
+/// The highest points over the cells of a lattice, mm, with its pooling.
+type DepthImage = (usize, Lattice, Vec<f32>);
 
 /// A direction's look at a scene, for the voxels of one set.
 struct View<'a> {
@@ -51,7 +51,7 @@ struct View<'a> {
     /// How far around them the window reaches, mm.
     margin: f64,
     /// Depth images by pooling, each wide enough for every section treated on it.
-    images: Vec<(usize, Lattice, Vec<f32>)>,
+    images: Vec<DepthImage>,
     /// Height of the highest obstacle point, mm, once they were looked at.
     highest: Option<f64>,
 }
@@ -88,8 +88,12 @@ impl<'a> View<'a> {
         let Some(wanted) = self.wanted else {
             return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
         };
-        let mut under = vec![false; lattice.nu * lattice.nv];
         let shadow = shadow(wanted, self.plane.d);
+        // To look up more voxels than there are cells takes longer than the cells in between.
+        if shadow.is_none() && wanted.count() > lattice.nu * lattice.nv {
+            return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
+        }
+        let mut under = vec![false; lattice.nu * lattice.nv];
         for v in shadow.as_ref().unwrap_or(wanted).iter_ones() {
             if let Some(c) = lattice.cell(self.plane.across(self.scene.frame.center(v))) {
                 under[c] = true;
@@ -99,41 +103,32 @@ impl<'a> View<'a> {
     }
 
     /// The highest point per cell, mm, on the images by these poolings that are not there yet, and
-    /// the highest of all: one pass over the points.
+    /// the highest of all. One pass over the points fills the finest image; the coarser ones take
+    /// from it, and from the points beyond it.
     fn look(&mut self, pools: &[usize]) {
-        let first = self.images.len();
-        for pool in pools {
-            if !self.images.iter().any(|(p, ..)| p == pool) {
-                let wide = self.margin + (WIDEST_CELLS + 2.0) * *pool as f64 * self.spacing;
-                let lattice = self.lattice(wide, *pool);
-                let image = vec![f32::NEG_INFINITY; lattice.nu * lattice.nv];
-                self.images.push((*pool, lattice, image));
-            }
-        }
-        let new = &mut self.images[first..];
+        let mut new: Vec<usize> = pools.to_vec();
+        new.sort_unstable();
+        new.dedup();
+        new.retain(|pool| !self.images.iter().any(|(p, ..)| p == pool));
         if new.is_empty() && self.highest.is_some() {
             return;
         }
-        let mut highest = f64::MIN;
-        let mut places = [(DVec2::ZERO, 0f32); POINTS];
-        for points in self.scene.points().chunks(POINTS) {
-            let places = &mut places[..points.len()];
-            for (place, p) in places.iter_mut().zip(points) {
-                let z = self.plane.height(*p);
-                highest = highest.max(z);
-                *place = (self.plane.across(*p), z as f32);
-            }
-            for (_, lattice, image) in new.iter_mut() {
-                for (uv, z) in places.iter() {
-                    if let Some(c) = lattice.cell(*uv)
-                        && *z > image[c]
-                    {
-                        image[c] = *z;
-                    }
-                }
-            }
+        if new.is_empty() {
+            new.push(1);
         }
-        self.highest = Some(highest);
+        let mut new: Vec<DepthImage> = new
+            .into_iter()
+            .map(|pool| {
+                let wide = self.margin + (WIDEST_CELLS + 2.0) * pool as f64 * self.spacing;
+                let lattice = self.lattice(wide, pool);
+                (pool, lattice, vec![f32::NEG_INFINITY; lattice.nu * lattice.nv])
+            })
+            .collect();
+        self.highest = Some(splat(self.scene, &self.plane, &mut new));
+        if let Some(((_, fine, from), coarser)) = new.split_first_mut() {
+            coarser.iter_mut().for_each(|(_, lattice, image)| pool(fine, from, lattice, image));
+        }
+        self.images.append(&mut new);
     }
 
     /// The window in which tips may stand.
@@ -149,12 +144,6 @@ impl<'a> View<'a> {
         sections: &[(Section, f64)],
         rounding_cells: f64,
     ) -> Vec<f32> {
-        let window = self.window();
-        // A cell that is not computed is closed, whoever asks.
-        let mut lowest = vec![f32::INFINITY; window.nu * window.nv];
-        for (row, spans) in lowest.chunks_mut(window.nu).zip(tips.rows()) {
-            spans.iter().for_each(|s| row[s.clone()].fill(f32::NEG_INFINITY));
-        }
         let seen: Vec<&(Section, f64)> = sections
             .iter()
             .enumerate()
@@ -173,22 +162,27 @@ impl<'a> View<'a> {
         let pools: Vec<usize> =
             seen.iter().filter(|(s, _)| round(s)).map(|(s, _)| pool_of(&s.shape)).collect();
         self.look(&pools);
-        for (section, lift) in seen {
-            if let Shape::Platform { z } = section.shape {
-                let floor = (self.highest.unwrap_or(f64::MIN) - z - lift) as f32;
-                lowest.iter_mut().for_each(|h| *h = h.max(floor));
-                continue;
-            }
+        // Everything stands below a platform.
+        let highest = self.highest.unwrap_or(f64::MIN);
+        let floor = |(section, lift): &(Section, f64)| match section.shape {
+            Shape::Platform { z } => (highest - z - lift) as f32,
+            _ => f32::NEG_INFINITY,
+        };
+        let floor = sections.iter().map(floor).fold(f32::NEG_INFINITY, f32::max);
+        let window = self.window();
+        // A cell that is not computed is closed, whoever asks.
+        let mut lowest = vec![f32::INFINITY; window.nu * window.nv];
+        for (row, spans) in lowest.chunks_mut(window.nu).zip(tips.rows()) {
+            spans.iter().for_each(|s| row[s.clone()].fill(floor));
+        }
+        for (section, lift) in seen.iter().filter(|(s, _)| round(s)) {
             let pool = pool_of(&section.shape);
             let Some((_, lattice, image)) = self.images.iter().find(|(p, ..)| *p == pool) else {
                 continue;
             };
-            let cells = if pool == 1 {
-                rounding_cells
-            } else {
-                // Point and tip may each be half a diagonal from their cell's centre.
-                std::f64::consts::SQRT_2
-            };
+            // A point and a tip are each up to (pool − 1) / 2 cells of the tip lattice along both
+            // axes from the middle of the cell they are pooled into.
+            let cells = (rounding_cells + (pool - 1) as f64 * SQRT_2) / pool as f64;
             let kernel = section_kernel(&section.shape, *lift, lattice.spacing, cells);
             let image = Image { width: lattice.nu, cells: image };
             if pool == 1 {
@@ -204,6 +198,66 @@ impl<'a> View<'a> {
             }
         }
         lowest
+    }
+}
+
+/// Puts every obstacle point of a scene into the first image, and those beyond it into the others;
+/// the height of the highest.
+fn splat(scene: &Scene, plane: &ImagePlane, images: &mut [DepthImage]) -> f64 {
+    let Some(((_, lattice, image), coarser)) = images.split_first_mut() else { return f64::MIN };
+    let mut highest = f64::MIN;
+    let raise = |c: &mut f32, z: f32| *c = if z > *c { z } else { *c };
+    let mut put = |at: DVec3, point: &dyn Fn() -> DVec3| {
+        highest = if at.z > highest { at.z } else { highest };
+        if let Some(c) = lattice.cell_at(at.truncate()) {
+            raise(&mut image[c], at.z as f32);
+            return;
+        }
+        for (_, lattice, image) in coarser.iter_mut() {
+            if let Some(c) = lattice.cell(plane.across(point())) {
+                raise(&mut image[c], at.z as f32);
+            }
+        }
+    };
+    let place = |p: DVec3| lattice.place(plane.across(p)).extend(plane.height(p));
+    let step = lattice.steps(plane, scene.frame.pitch)[0];
+    let [_, ny, nz] = scene.voxels().dims();
+    for (y, z) in (0..nz).flat_map(|z| (0..ny).map(move |y| (y, z))) {
+        let row = scene.voxels().row(y, z);
+        if row.iter().all(|w| *w == 0) {
+            continue;
+        }
+        let first = place(scene.frame.center([0, y, z]));
+        for (w, &bits) in row.iter().enumerate() {
+            let mut rest = bits;
+            while rest != 0 {
+                let x = w * 64 + rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                put(first + step * x as f64, &|| scene.frame.center([x, y, z]));
+            }
+        }
+    }
+    scene.fixed().iter().for_each(|p| put(place(*p), &|| *p));
+    highest
+}
+
+/// The highest of the cells of an image that lie in each cell of a coarser one, where it is higher
+/// than what the coarser one has.
+fn pool(fine: &Lattice, from: &[f32], coarse: &Lattice, onto: &mut [f32]) {
+    let mut across = vec![f32::NEG_INFINITY; fine.nu];
+    for j in 0..fine.nv {
+        for (a, h) in across.iter_mut().zip(&from[j * fine.nu..]) {
+            *a = if *h > *a { *h } else { *a };
+        }
+        let row = coarse.pooled(fine, 1, j);
+        if j + 1 < fine.nv && coarse.pooled(fine, 1, j + 1) == row {
+            continue;
+        }
+        for (i, a) in across.iter_mut().enumerate() {
+            let c = &mut onto[coarse.pooled(fine, 0, i) + coarse.nu * row];
+            *c = if *a > *c { *a } else { *c };
+            *a = f32::NEG_INFINITY;
+        }
     }
 }
 
@@ -348,12 +402,22 @@ fn lower_bound(shape: &Shape, rho: f64) -> f64 {
 
 /// Raises the cells of `tips` to the value of the coarse cell they lie in.
 fn spread(from: &Lattice, coarse: &[f32], onto: &Lattice, tips: &Spans, out: &mut [f32]) {
-    for (j, spans) in tips.rows().enumerate() {
-        for i in spans.iter().flat_map(|s| s.clone()) {
-            let uv = onto.first + DVec2::new(i as f64, j as f64) * onto.spacing;
-            if let Some(c) = from.cell(uv) {
-                let o = &mut out[i + onto.nu * j];
-                *o = o.max(coarse[c]);
+    let mut wide = vec![f32::NEG_INFINITY; onto.nu];
+    let mut of_row = None;
+    for ((j, spans), out) in tips.rows().enumerate().zip(out.chunks_mut(onto.nu)) {
+        if spans.is_empty() {
+            continue;
+        }
+        let row = from.pooled(onto, 1, j);
+        if of_row != Some(row) {
+            of_row = Some(row);
+            for (i, w) in wide.iter_mut().enumerate() {
+                *w = coarse[from.pooled(onto, 0, i) + from.nu * row];
+            }
+        }
+        for s in spans {
+            for (o, w) in out[s.clone()].iter_mut().zip(&wide[s.clone()]) {
+                *o = if *w > *o { *w } else { *o };
             }
         }
     }

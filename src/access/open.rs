@@ -1,13 +1,15 @@
 //! The accessible region of the whole grid along any direction, by the depth engine.
 //!
 //! Method: G of the depth engine for every cell under the grid, then the voxels that stand no lower
-//! than it. Blocks of voxels that lie wholly above or below the G of all cells they could fall in
-//! are taken or left as a whole; least and largest G of tiles of cells tell.
+//! than it. Cubes of voxels that lie wholly above or below the G of all cells they could fall in
+//! are taken or left as a whole, 64 of their voxels at a time; least and largest G of the cells
+//! under a cube are looked up ([`Bounds`]).
 //!
 //! Guarantees: the voxels outside the obstacle that [`DepthMap::reaches`] accepts.
 
 use super::Scene;
 use super::depth::{cutter_map_of_grid, nozzle_map_of_grid};
+use super::filter::{Extreme, Largest, Least, running_extreme};
 use super::lattice::DepthMap;
 use crate::base::{DVec2, DVec3, Direction};
 use crate::machine::{Tool, ToolKind};
@@ -21,11 +23,7 @@ const BLOCK: usize = 8;
 /// nor wholly below.
 const PART: usize = BLOCK / 2;
 
-/// Cells of a tile along each axis, for blocks and for their parts: about a third of what either
-/// spans. Larger tiles tell less, smaller ones take longer to look through.
-const TILES: [usize; 2] = [8, 4];
-
-/// Margin in mm of the verdict on a block: far above the rounding of f32 heights, far below a voxel.
+/// Margin in mm of the verdict on a cube: far above the rounding of f32 heights, far below a voxel.
 const MARGIN_MM: f64 = 1e-3;
 
 /// A(O, T, K) − O along `direction`, for the voxels of the grid of `obstacle`, whose boundary and
@@ -40,143 +38,132 @@ pub fn reached_along(
         ToolKind::Subtractive => cutter_map_of_grid(scene, tool, direction),
         ToolKind::Additive => nozzle_map_of_grid(scene, tool, direction),
     };
-    let test = |_: [usize; 3], at: DVec3| map.reaches_at(at);
-    voxels(&map, obstacle, false, &scene.frame, test)
+    voxels(&map, obstacle, false, &scene.frame)
 }
 
 /// The voxels of `candidates` that a map reaches.
 pub fn reachable(map: &DepthMap, candidates: &BitGrid, frame: &Frame) -> BitGrid {
-    voxels(map, candidates, true, frame, |v, _| map.reaches(frame.center(v)))
+    voxels(map, candidates, true, frame)
 }
 
-/// Least and largest value of each tile of cells.
-struct Tiles {
-    tile: usize,
-    cells: [usize; 2],
-    n: [usize; 2],
-    range: Vec<(f32, f32)>,
-}
-
-impl Tiles {
-    fn of(map: &DepthMap, tile: usize) -> Tiles {
-        let (cells, nu, nv) = map.cells();
-        let n = [nu.div_ceil(tile), nv.div_ceil(tile)];
-        let mut range = vec![(f32::INFINITY, f32::NEG_INFINITY); n[0] * n[1]];
-        for (j, row) in cells.chunks(nu.max(1)).enumerate() {
-            let tiles = &mut range[j / tile * n[0]..][..n[0]];
-            for (tile, run) in tiles.iter_mut().zip(row.chunks(tile)) {
-                for g in run {
-                    tile.0 = if *g < tile.0 { *g } else { tile.0 };
-                    tile.1 = if *g > tile.1 { *g } else { tile.1 };
-                }
-            }
-        }
-        Tiles { tile, cells: [nu, nv], n, range }
-    }
-
-    /// Least and largest value over cells lo ..= hi; no largest where some lie outside the map.
-    fn over(&self, lo: DVec2, hi: DVec2) -> (f64, f64) {
-        let tile = |c: f64, a: usize| ((c.max(0.0) as usize) / self.tile).min(self.n[a] - 1);
-        let beyond = DVec2::new((self.cells[0] - 1) as f64, (self.cells[1] - 1) as f64);
-        let outside = lo.min_element() < 0.0 || hi.cmpgt(beyond).any();
-        let (mut least, mut most) =
-            (f32::INFINITY, if outside { f32::INFINITY } else { f32::NEG_INFINITY });
-        for j in tile(lo.y, 1)..=tile(hi.y, 1) {
-            for t in &self.range[j * self.n[0]..][tile(lo.x, 0)..=tile(hi.x, 0)] {
-                least = least.min(t.0);
-                most = most.max(t.1);
-            }
-        }
-        (f64::from(least), f64::from(most))
-    }
-}
-
-/// The voxels of `set`, or those outside it, that pass: by blocks where a map tells, else singly.
-/// The test is given the voxel and its [`DepthMap::place`].
-fn voxels(
-    map: &DepthMap,
-    set: &BitGrid,
-    inside: bool,
-    frame: &Frame,
-    test: impl Fn([usize; 3], DVec3) -> bool + Sync,
-) -> BitGrid {
+/// The voxels of `set`, or those outside it, that a map reaches.
+fn voxels(map: &DepthMap, set: &BitGrid, inside: bool, frame: &Frame) -> BitGrid {
     let mut out = BitGrid::new(frame.dims);
-    let [nx, ny, nz] = frame.dims;
     if frame.dims.contains(&0) {
         return out;
     }
-    let tiles = TILES.map(|tile| Tiles::of(map, tile));
     let steps = map.steps(frame.pitch);
+    let [blocks, parts] = Bounds::of(map, &steps);
+    let sieve = Sieve { map, frame, set, flip: if inside { 0 } else { !0 }, steps, blocks, parts };
     let words = out.words_per_row();
-    let [block, part] = [BLOCK, PART].map(|n| Reach::of(&steps, n));
-    out.par_slabs_mut(BLOCK).for_each(|(z0, slab)| {
-        let deep = BLOCK.min(nz - z0);
-        for y0 in (0..ny).step_by(BLOCK) {
-            let wide = BLOCK.min(ny - y0);
-            for x0 in (0..nx).step_by(BLOCK) {
-                let asked = bits_of(set, inside, [x0, y0, z0], [wide, deep]);
-                if asked.iter().all(|b| *b == 0) {
-                    continue;
-                }
-                let at = map.place(frame.center([x0, y0, z0]));
-                let whole = block.verdict(&tiles[0], at);
-                if whole == Verdict::None {
-                    continue;
-                }
-                let mut bits = asked;
-                if whole == Verdict::Mixed {
-                    let tell = |p| part.verdict(&tiles[1], p);
-                    sift(&mut bits, [wide, deep], at, &steps, tell, |bits, j, k, p| {
-                        passing(bits, [x0, y0 + j, z0 + k], p, steps[0], &test)
-                    });
-                }
-                for k in 0..deep {
-                    for j in 0..wide {
-                        let word = &mut slab[(k * ny + y0 + j) * words + x0 / 64];
-                        *word |= u64::from(bits[j + BLOCK * k]) << (x0 % 64);
-                    }
-                }
-            }
+    out.par_slabs_mut(BLOCK).for_each(|(z, slab)| {
+        for y in (0..frame.dims[1]).step_by(BLOCK) {
+            (0..words).for_each(|w| sieve.column(slab, [w, y, z]));
         }
     });
     out
 }
 
-/// Keeps the voxels of a mixed block that pass: by its parts where they tell, else row by row.
-/// `size` is the block's rows along y and z, `at` the place of its first voxel.
-fn sift(
-    bits: &mut [u8; BLOCK * BLOCK],
-    size: [usize; 2],
-    at: DVec3,
-    steps: &[DVec3; 3],
-    tell: impl Fn(DVec3) -> Verdict,
-    passing: impl Fn(u8, usize, usize, DVec3) -> u8,
-) {
-    let place = |j: usize, k: usize| at + steps[1] * j as f64 + steps[2] * k as f64;
-    for z in (0..size[1]).step_by(PART) {
-        for y in (0..size[0]).step_by(PART) {
-            let p = place(y, z);
-            let halves = [tell(p), tell(p + steps[0] * PART as f64)];
-            let of = |v| {
-                let low = if halves[0] == v { 0x0F } else { 0 };
-                if halves[1] == v { low | 0xF0 } else { low }
-            };
-            let (all, mixed): (u8, u8) = (of(Verdict::All), of(Verdict::Mixed));
-            for k in z..(z + PART).min(size[1]) {
-                for j in y..(y + PART).min(size[0]) {
-                    let row = &mut bits[j + BLOCK * k];
-                    let asked = *row & mixed;
-                    *row &= all;
-                    if asked != 0 {
-                        *row |= passing(asked, j, k, place(j, k));
+/// What tells the voxels apart.
+struct Sieve<'a> {
+    map: &'a DepthMap,
+    frame: &'a Frame,
+    set: &'a BitGrid,
+    /// All ones when the voxels outside the set are asked for.
+    flip: u64,
+    steps: [DVec3; 3],
+    blocks: Bounds,
+    parts: Bounds,
+}
+
+/// Voxels of a word that are taken and those that are to be asked singly.
+#[derive(Clone, Copy, Default)]
+struct Masks {
+    all: u64,
+    mixed: u64,
+}
+
+impl Sieve<'_> {
+    /// Eight blocks along x: word `w` of the rows from (y, z) on. `slab` starts at slice z.
+    fn column(&self, slab: &mut [u64], [w, y, z]: [usize; 3]) {
+        let [nx, ny, nz] = self.frame.dims;
+        let (wide, deep) = (BLOCK.min(ny - y), BLOCK.min(nz - z));
+        // Voxels past the end of a row are none.
+        let valid = if w * 64 + 64 > nx { self.set.last_word_mask() } else { !0 };
+        let asked = |j: usize, k: usize| (self.set.row(y + j, z + k)[w] ^ self.flip) & valid;
+        let mut any = 0;
+        for k in 0..deep {
+            (0..wide).for_each(|j| any |= asked(j, k));
+        }
+        if any == 0 {
+            return;
+        }
+        let first = self.map.place(self.frame.center([w * 64, y, z]));
+        let masks = self.masks(any, first);
+        if masks.iter().all(|m| m.all | m.mixed == 0) {
+            return;
+        }
+        let words = self.set.words_per_row();
+        for k in 0..deep {
+            for j in 0..wide {
+                let (m, asked) = (&masks[j / PART + 2 * (k / PART)], asked(j, k));
+                let mut pass = asked & m.all;
+                if asked & m.mixed != 0 {
+                    let row = first + self.steps[1] * j as f64 + self.steps[2] * k as f64;
+                    pass |= self.singly(asked & m.mixed, row);
+                }
+                slab[(k * ny + y + j) * words + w] = pass;
+            }
+        }
+    }
+
+    /// What the bounds tell of eight blocks that start at `first`, for each half along y and z.
+    fn masks(&self, any: u64, first: DVec3) -> [Masks; 4] {
+        let mut masks = [Masks::default(); 4];
+        for b in 0..64 / BLOCK {
+            let byte = 0xFF << (b * BLOCK);
+            if any & byte == 0 {
+                continue;
+            }
+            let at = first + self.steps[0] * (b * BLOCK) as f64;
+            match self.blocks.verdict(at) {
+                Verdict::None => {}
+                Verdict::All => masks.iter_mut().for_each(|m| m.all |= byte),
+                Verdict::Mixed => {
+                    for part in 0..8 {
+                        let [i, j, k] = [part & 1, part >> 1 & 1, part >> 2];
+                        let by = |a: usize, n: usize| self.steps[a] * (n * PART) as f64;
+                        let nibble = 0x0F << (b * BLOCK + i * PART);
+                        let m = &mut masks[j + 2 * k];
+                        match self.parts.verdict(at + by(0, i) + by(1, j) + by(2, k)) {
+                            Verdict::None => {}
+                            Verdict::All => m.all |= nibble,
+                            Verdict::Mixed => m.mixed |= nibble,
+                        }
                     }
                 }
             }
         }
+        masks
+    }
+
+    /// The voxels of a word that the map reaches; the word's first voxel stands at `first`.
+    fn singly(&self, asked: u64, first: DVec3) -> u64 {
+        let (mut rest, mut pass) = (asked, 0);
+        while rest != 0 {
+            let start = rest.trailing_zeros() as usize & !(PART - 1);
+            let mut at = first + self.steps[0] * start as f64;
+            for i in start..start + PART {
+                pass |= u64::from(self.map.reaches_at(at)) << i;
+                at += self.steps[0];
+            }
+            rest &= !(0x0F << start);
+        }
+        pass & asked
     }
 }
 
-/// What the tiles tell of a cube of voxels.
+/// What the bounds tell of a cube of voxels.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Verdict {
     None,
@@ -184,27 +171,70 @@ enum Verdict {
     Mixed,
 }
 
-/// From the first voxel of a cube to the lowest and highest of its others, in cells and mm.
-struct Reach([(f64, f64); 3]);
+/// Least and largest G under cubes of voxels: over all cells from a tile of cells on that a cube
+/// whose first cell lies in it may span.
+struct Bounds {
+    /// Tiles per cell.
+    per_cell: f64,
+    /// Tiles along u and v.
+    n: [usize; 2],
+    /// From the first voxel of a cube to the lowest and highest of its others, in cells and mm.
+    reach: [(f64, f64); 3],
+    /// The last cell that a cube may touch, for the map to hold all of them.
+    last: DVec2,
+    range: Vec<(f32, f32)>,
+}
 
-impl Reach {
-    fn of(steps: &[DVec3; 3], n: usize) -> Reach {
-        let far = (n - 1) as f64;
-        Reach([0, 1, 2].map(|a| {
-            let ends = steps.map(|s| s[a] * far);
-            let sum = |f: fn(f64, f64) -> f64| ends.iter().map(|e| f(*e, 0.0)).sum::<f64>();
-            (sum(f64::min), sum(f64::max))
-        }))
+/// What hides the rounding of places, cells.
+const HAIR: f64 = 1e-6;
+
+impl Bounds {
+    /// Those of blocks and of their parts.
+    fn of(map: &DepthMap, steps: &[DVec3; 3]) -> [Bounds; 2] {
+        let (cells, nu, nv) = map.cells();
+        let fine = [Tiles::of::<Least>(cells, [nu, nv], 2), Tiles::of::<Largest>(cells, [nu, nv], 2)];
+        let coarse = [
+            Tiles::of::<Least>(&fine[0].cells, fine[0].n, 4),
+            Tiles::of::<Largest>(&fine[1].cells, fine[1].n, 4),
+        ];
+        let of = |[least, largest]: [Tiles; 2], tile: usize, voxels: usize| {
+            let far = (voxels - 1) as f64;
+            let reach = [0, 1, 2].map(|a| {
+                let ends = steps.map(|s| s[a] * far);
+                let sum = |f: fn(f64, f64) -> f64| ends.iter().map(|e| f(*e, 0.0)).sum::<f64>();
+                (sum(f64::min), sum(f64::max))
+            });
+            // A cube's first cell may be any of its tile.
+            let spans = [0, 1].map(|a| {
+                let cells = (reach[a].1 - reach[a].0 + 2.0 * HAIR) as usize + 1;
+                (tile - 1 + cells) / tile + 1
+            });
+            let n = least.n;
+            let least = least.widened::<Least>(spans).cells;
+            let largest = largest.widened::<Largest>(spans).cells;
+            let range = least.into_iter().zip(largest).collect();
+            let last = DVec2::new((nu - 1) as f64, (nv - 1) as f64);
+            Bounds { per_cell: 1.0 / tile as f64, n, reach, last, range }
+        };
+        [of(coarse, 8, BLOCK), of(fine, 2, PART)]
     }
 
-    fn verdict(&self, tiles: &Tiles, at: DVec3) -> Verdict {
-        let [u, v, z] = self.0;
-        let lo = DVec2::new(at.x + u.0, at.y + v.0) - DVec2::splat(1.0);
-        let hi = DVec2::new(at.x + u.1, at.y + v.1) + DVec2::splat(1.0);
-        let (least, most) = tiles.over(lo, hi);
-        if at.z + z.1 < least - MARGIN_MM {
+    /// What there is to tell of a cube whose first voxel stands at `at`.
+    #[inline]
+    fn verdict(&self, at: DVec3) -> Verdict {
+        let [u, v, z] = self.reach;
+        let lo = DVec2::new(at.x + u.0, at.y + v.0) + DVec2::splat(0.5 - HAIR);
+        let hi = DVec2::new(at.x + u.1, at.y + v.1);
+        if lo.x < 0.0 || lo.y < 0.0 || hi.x > self.last.x || hi.y > self.last.y {
+            return Verdict::Mixed;
+        }
+        let tile = [lo.x, lo.y].map(|c| (c * self.per_cell) as i32 as usize);
+        let Some((least, most)) = self.range.get(tile[0] + self.n[0] * tile[1]) else {
+            return Verdict::Mixed;
+        };
+        if at.z + z.1 < f64::from(*least) - MARGIN_MM {
             Verdict::None
-        } else if at.z + z.0 > most + MARGIN_MM {
+        } else if at.z + z.0 > f64::from(*most) + MARGIN_MM {
             Verdict::All
         } else {
             Verdict::Mixed
@@ -212,43 +242,35 @@ impl Reach {
     }
 }
 
-/// The voxels of a block inside or outside a set, a byte a row; `size` rows along y and z.
-fn bits_of(
-    grid: &BitGrid,
-    inside: bool,
-    [x, y, z]: [usize; 3],
-    size: [usize; 2],
-) -> [u8; BLOCK * BLOCK] {
-    let mut bits = [0; BLOCK * BLOCK];
-    // Voxels past the end of a row are none.
-    let mask = 0xFFu8 >> (BLOCK - (grid.dims()[0] - x).min(BLOCK));
-    let flip = if inside { 0 } else { !0 };
-    for k in 0..size[1] {
-        for j in 0..size[0] {
-            let word = grid.row(y + j, z + k)[x / 64];
-            bits[j + BLOCK * k] = (((word >> (x % 64)) as u8) ^ flip) & mask;
-        }
-    }
-    bits
+/// Extremes of square tiles of cells.
+struct Tiles {
+    n: [usize; 2],
+    cells: Vec<f32>,
 }
 
-/// Those of the next voxels along x that pass.
-#[inline]
-fn passing(
-    bits: u8,
-    v: [usize; 3],
-    mut p: DVec3,
-    step: DVec3,
-    test: &impl Fn([usize; 3], DVec3) -> bool,
-) -> u8 {
-    let mut pass = 0;
-    for i in 0..BLOCK {
-        if bits >> i & 1 == 1 {
-            pass |= u8::from(test([v[0] + i, v[1], v[2]], p)) << i;
+impl Tiles {
+    fn of<E: Extreme>(cells: &[f32], [nu, nv]: [usize; 2], tile: usize) -> Tiles {
+        let n = [nu.div_ceil(tile), nv.div_ceil(tile)];
+        let mut out = Vec::with_capacity(n[0] * n[1]);
+        let mut across = vec![E::NONE; nu];
+        for rows in cells.chunks(nu.max(1) * tile) {
+            across.fill(E::NONE);
+            for row in rows.chunks(nu.max(1)) {
+                across.iter_mut().zip(row).for_each(|(a, c)| *a = E::of(*a, *c));
+            }
+            out.extend(across.chunks(tile).map(|t| t.iter().fold(E::NONE, |a, c| E::of(a, *c))));
         }
-        p += step;
+        Tiles { n, cells: out }
     }
-    pass
+
+    /// Each the extreme of those from it on, `spans` of them along either axis.
+    fn widened<E: Extreme>(mut self, spans: [usize; 2]) -> Tiles {
+        let room = &mut Vec::new();
+        // What runs on from a row's end into the next only widens the range there.
+        running_extreme::<E>(&mut self.cells, room, 1, spans[0]);
+        running_extreme::<E>(&mut self.cells, room, self.n[0], spans[1]);
+        self
+    }
 }
 
 #[cfg(test)]
