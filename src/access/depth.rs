@@ -205,21 +205,33 @@ impl<'a> View<'a> {
 /// the height of the highest.
 fn splat(scene: &Scene, plane: &ImagePlane, images: &mut [DepthImage]) -> f64 {
     let Some(((_, lattice, image), coarser)) = images.split_first_mut() else { return f64::MIN };
-    let mut highest = f64::MIN;
-    let raise = |c: &mut f32, z: f32| *c = if z > *c { z } else { *c };
-    let mut put = |at: DVec3, point: &dyn Fn() -> DVec3| {
-        highest = if at.z > highest { at.z } else { highest };
-        if let Some(c) = lattice.cell_at(at.truncate()) {
-            raise(&mut image[c], at.z as f32);
-            return;
+    let (mut highest, beyond) = splat_voxels(scene, plane, *lattice, image);
+    for p in beyond.iter().chain(scene.fixed()) {
+        let (uv, z) = (plane.across(*p), plane.height(*p));
+        highest = highest.max(z);
+        if let Some(c) = lattice.cell(uv) {
+            image[c] = image[c].max(z as f32);
+            continue;
         }
         for (_, lattice, image) in coarser.iter_mut() {
-            if let Some(c) = lattice.cell(plane.across(point())) {
-                raise(&mut image[c], at.z as f32);
+            if let Some(c) = lattice.cell(uv) {
+                image[c] = image[c].max(z as f32);
             }
         }
-    };
-    let place = |p: DVec3| lattice.place(plane.across(p)).extend(plane.height(p));
+    }
+    highest
+}
+
+/// Puts the voxels of a scene into an image; answers with the height of the highest of them and the
+/// centres of those beyond it. The lattice comes by value: what the loop looks at stays in
+/// registers, not behind a reference that a store might change.
+fn splat_voxels(
+    scene: &Scene,
+    plane: &ImagePlane,
+    lattice: Lattice,
+    image: &mut [f32],
+) -> (f64, Vec<DVec3>) {
+    let (mut highest, mut beyond) = (f64::MIN, Vec::new());
     let step = lattice.steps(plane, scene.frame.pitch)[0];
     let [_, ny, nz] = scene.voxels().dims();
     for (y, z) in (0..nz).flat_map(|z| (0..ny).map(move |y| (y, z))) {
@@ -227,35 +239,40 @@ fn splat(scene: &Scene, plane: &ImagePlane, images: &mut [DepthImage]) -> f64 {
         if row.iter().all(|w| *w == 0) {
             continue;
         }
-        let first = place(scene.frame.center([0, y, z]));
+        let centre = scene.frame.center([0, y, z]);
+        let first = lattice.place(plane.across(centre)).extend(plane.height(centre));
         for (w, &bits) in row.iter().enumerate() {
             let mut rest = bits;
             while rest != 0 {
                 let x = w * 64 + rest.trailing_zeros() as usize;
                 rest &= rest - 1;
-                put(first + step * x as f64, &|| scene.frame.center([x, y, z]));
+                let at = first + step * x as f64;
+                highest = if at.z > highest { at.z } else { highest };
+                match lattice.cell_at(at.truncate()).and_then(|c| image.get_mut(c)) {
+                    Some(c) => *c = if at.z as f32 > *c { at.z as f32 } else { *c },
+                    None => beyond.push(scene.frame.center([x, y, z])),
+                }
             }
         }
     }
-    scene.fixed().iter().for_each(|p| put(place(*p), &|| *p));
-    highest
+    (highest, beyond)
 }
 
 /// The highest of the cells of an image that lie in each cell of a coarser one, where it is higher
 /// than what the coarser one has.
 fn pool(fine: &Lattice, from: &[f32], coarse: &Lattice, onto: &mut [f32]) {
+    let [columns, rows] = coarse.pooled(fine);
     let mut across = vec![f32::NEG_INFINITY; fine.nu];
-    for j in 0..fine.nv {
+    for (j, row) in rows.iter().enumerate() {
         for (a, h) in across.iter_mut().zip(&from[j * fine.nu..]) {
             *a = if *h > *a { *h } else { *a };
         }
-        let row = coarse.pooled(fine, 1, j);
-        if j + 1 < fine.nv && coarse.pooled(fine, 1, j + 1) == row {
+        if rows.get(j + 1) == Some(row) {
             continue;
         }
-        for (i, a) in across.iter_mut().enumerate() {
-            let c = &mut onto[coarse.pooled(fine, 0, i) + coarse.nu * row];
-            *c = if *a > *c { *a } else { *c };
+        let onto = &mut onto[coarse.nu * row..][..coarse.nu];
+        for (a, i) in across.iter_mut().zip(&columns) {
+            onto[*i] = if *a > onto[*i] { *a } else { onto[*i] };
             *a = f32::NEG_INFINITY;
         }
     }
@@ -402,18 +419,17 @@ fn lower_bound(shape: &Shape, rho: f64) -> f64 {
 
 /// Raises the cells of `tips` to the value of the coarse cell they lie in.
 fn spread(from: &Lattice, coarse: &[f32], onto: &Lattice, tips: &Spans, out: &mut [f32]) {
+    let [columns, rows] = from.pooled(onto);
     let mut wide = vec![f32::NEG_INFINITY; onto.nu];
     let mut of_row = None;
-    for ((j, spans), out) in tips.rows().enumerate().zip(out.chunks_mut(onto.nu)) {
+    for ((row, spans), out) in rows.iter().zip(tips.rows()).zip(out.chunks_mut(onto.nu)) {
         if spans.is_empty() {
             continue;
         }
-        let row = from.pooled(onto, 1, j);
         if of_row != Some(row) {
             of_row = Some(row);
-            for (i, w) in wide.iter_mut().enumerate() {
-                *w = coarse[from.pooled(onto, 0, i) + from.nu * row];
-            }
+            let coarse = &coarse[from.nu * row..][..from.nu];
+            wide.iter_mut().zip(&columns).for_each(|(w, i)| *w = coarse[*i]);
         }
         for s in spans {
             for (o, w) in out[s.clone()].iter_mut().zip(&wide[s.clone()]) {

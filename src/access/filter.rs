@@ -157,7 +157,9 @@ pub fn filter(
                 let start = (at.0 + span.start as isize, at.1 + row as isize);
                 let out = &mut out[span.clone()];
                 match op {
-                    Op::Max => arch.dispatch(Run::<Largest>::of(image, start, out, kernel, scratch)),
+                    Op::Max => {
+                        arch.dispatch(Run::<Largest>::of(image, start, out, kernel, scratch))
+                    }
                     Op::Min => arch.dispatch(Run::<Least>::of(image, start, out, kernel, scratch)),
                 }
             }
@@ -234,19 +236,31 @@ impl<E: Extreme> pulp::NullaryFnOnce for Run<'_, E> {
         best.extend_from_slice(out);
         best.resize(blocks * BLOCK, E::NONE);
         let left = start.0 - kernel.reach as isize;
+        let len = best.len() + 2 * kernel.reach;
         for k in &kernel.rows {
-            let above = part_of(image, left, start.1 + k.j as isize, best.len() + 2 * kernel.reach);
-            let below = part_of(image, left, start.1 - k.j as isize, best.len() + 2 * kernel.reach);
+            let above = part_of(image, left, start.1 + k.j as isize, len);
+            let below = part_of(image, left, start.1 - k.j as isize, len);
             let Some((at, row)) = above.or(below) else { continue };
-            rows.clear();
-            rows.resize(at, E::NONE);
-            rows.extend_from_slice(row);
-            rows.resize(best.len() + 2 * kernel.reach, E::NONE);
-            if let (Some(_), Some((at, row)), true) = (above, below, k.j > 0) {
-                for (r, h) in rows[at..].iter_mut().zip(row) {
-                    *r = E::of(*r, *h);
+            let rows: &[f32] = match (above, below) {
+                (Some((_, a)), Some(_)) if k.j == 0 && a.len() == len => a,
+                (Some((_, a)), Some((_, b))) if a.len() == len => {
+                    rows.clear();
+                    rows.extend(a.iter().zip(b).map(|(a, b)| E::of(*a, *b)));
+                    rows
                 }
-            }
+                _ => {
+                    rows.clear();
+                    rows.resize(at, E::NONE);
+                    rows.extend_from_slice(row);
+                    rows.resize(len, E::NONE);
+                    if let (Some(_), Some((at, row))) = (above, below) {
+                        for (r, h) in rows[at..].iter_mut().zip(row) {
+                            *r = E::of(*r, *h);
+                        }
+                    }
+                    rows
+                }
+            };
             if let Some((half, value)) = k.flat {
                 running.clear();
                 running.extend_from_slice(&rows[kernel.reach - half..]);

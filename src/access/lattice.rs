@@ -71,7 +71,7 @@ pub(super) struct Lattice {
 
 /// The nearest integer of a number below 2³¹, by the rounding of an addition.
 #[inline(always)]
-pub(super) fn nearest(x: f64) -> i32 {
+fn nearest(x: f64) -> i32 {
     const ONE_AND_A_HALF_TIMES_2_TO_52: f64 = 6_755_399_441_055_744.0;
     (x + ONE_AND_A_HALF_TIMES_2_TO_52).to_bits() as i32
 }
@@ -131,7 +131,7 @@ impl Lattice {
     /// The cell nearest to a [`Lattice::place`].
     #[inline(always)]
     pub fn cell_at(&self, at: DVec2) -> Option<usize> {
-        let (i, j) = (nearest(at.x) as u32 as usize, nearest(at.y) as u32 as usize);
+        let [i, j] = [nearest(at.x), nearest(at.y)].map(|n| n as u32 as usize);
         (i < self.nu && j < self.nv).then(|| i + self.nu * j)
     }
 
@@ -141,11 +141,16 @@ impl Lattice {
         (by(0), by(1))
     }
 
-    /// Of the rows (axis 1) or columns (axis 0) of a lattice of smaller cells the one of this
-    /// lattice in which number `i` lies.
-    pub fn pooled(&self, fine: &Lattice, axis: usize, i: usize) -> usize {
+    /// For each column and each row of a lattice of smaller cells the one of this lattice in which
+    /// it lies.
+    pub fn pooled(&self, fine: &Lattice) -> [Vec<usize>; 2] {
         let ratio = (self.pool / fine.pool) as i64;
-        ((fine.number[axis] + i as i64).div_euclid(ratio) - self.number[axis]) as usize
+        let of = |axis: usize, n: usize| {
+            let first = fine.number[axis];
+            let cell = |i: i64| ((first + i).div_euclid(ratio) - self.number[axis]) as usize;
+            (0..n as i64).map(cell).collect()
+        };
+        [of(0, fine.nu), of(1, fine.nv)]
     }
 
     /// Per row of cells, those that the shadow of a box falls on, with a cell to spare.

@@ -11,20 +11,25 @@ use super::Scene;
 use super::depth::{cutter_map_of_grid, nozzle_map_of_grid};
 use super::filter::{Extreme, Largest, Least, running_extreme};
 use super::lattice::DepthMap;
-use crate::base::{DVec2, DVec3, Direction};
+use crate::base::{DVec3, Direction};
 use crate::machine::{Tool, ToolKind};
 use crate::voxel::{BitGrid, Frame};
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// Voxels of a block along each axis: a byte of a row.
 const BLOCK: usize = 8;
 
 /// Voxels along each axis of the parts that a block is split into when it is neither wholly above
-/// nor wholly below.
-const PART: usize = BLOCK / 2;
+/// nor wholly below, and of those that these are split into.
+const PARTS: [usize; 2] = [BLOCK / 2, BLOCK / 4];
+
+/// Cells of a tile along each axis, for blocks, for parts and for parts of these. Larger tiles tell
+/// less, smaller ones take longer to make.
+const TILES: [usize; 3] = [8, 4, 2];
 
 /// Margin in mm of the verdict on a cube: far above the rounding of f32 heights, far below a voxel.
-const MARGIN_MM: f64 = 1e-3;
+const MARGIN_MM: f32 = 1e-3;
 
 /// A(O, T, K) − O along `direction`, for the voxels of the grid of `obstacle`, whose boundary and
 /// fixed points `scene` holds. A nozzle's tip stands at the voxel itself.
@@ -53,15 +58,50 @@ fn voxels(map: &DepthMap, set: &BitGrid, inside: bool, frame: &Frame) -> BitGrid
         return out;
     }
     let steps = map.steps(frame.pitch);
-    let [blocks, parts] = Bounds::of(map, &steps);
-    let sieve = Sieve { map, frame, set, flip: if inside { 0 } else { !0 }, steps, blocks, parts };
-    let words = out.words_per_row();
+    let arch = Arch::new();
+    let [blocks, parts, small] = arch.dispatch(MakeBounds { map, steps: &steps });
+    let flip = if inside { 0 } else { !0 };
+    let sieve = Sieve { map, frame, set, flip, steps, blocks, parts, small };
     out.par_slabs_mut(BLOCK).for_each(|(z, slab)| {
-        for y in (0..frame.dims[1]).step_by(BLOCK) {
-            (0..words).for_each(|w| sieve.column(slab, [w, y, z]));
-        }
+        arch.dispatch(SiftSlab { sieve: &sieve, z, slab });
     });
     out
+}
+
+/// Makes the bounds, by the widest registers there are.
+struct MakeBounds<'a> {
+    map: &'a DepthMap,
+    steps: &'a [DVec3; 3],
+}
+
+impl NullaryFnOnce for MakeBounds<'_> {
+    type Output = [Bounds; 3];
+
+    #[inline(always)]
+    fn call(self) -> [Bounds; 3] {
+        Bounds::of(self.map, self.steps)
+    }
+}
+
+/// Fills the slab that starts at slice `z`, by the widest registers there are.
+struct SiftSlab<'a> {
+    sieve: &'a Sieve<'a>,
+    z: usize,
+    slab: &'a mut [u64],
+}
+
+impl NullaryFnOnce for SiftSlab<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let SiftSlab { sieve, z, slab } = self;
+        for y in (0..sieve.frame.dims[1]).step_by(BLOCK) {
+            for w in 0..sieve.set.words_per_row() {
+                sieve.column(slab, [w, y, z]);
+            }
+        }
+    }
 }
 
 /// What tells the voxels apart.
@@ -74,6 +114,8 @@ struct Sieve<'a> {
     steps: [DVec3; 3],
     blocks: Bounds,
     parts: Bounds,
+    /// Of parts of parts.
+    small: Bounds,
 }
 
 /// Voxels of a word that are taken and those that are to be asked singly.
@@ -85,29 +127,51 @@ struct Masks {
 
 impl Sieve<'_> {
     /// Eight blocks along x: word `w` of the rows from (y, z) on. `slab` starts at slice z.
+    #[inline(always)]
     fn column(&self, slab: &mut [u64], [w, y, z]: [usize; 3]) {
         let [nx, ny, nz] = self.frame.dims;
         let (wide, deep) = (BLOCK.min(ny - y), BLOCK.min(nz - z));
         // Voxels past the end of a row are none.
         let valid = if w * 64 + 64 > nx { self.set.last_word_mask() } else { !0 };
-        let asked = |j: usize, k: usize| (self.set.row(y + j, z + k)[w] ^ self.flip) & valid;
-        let mut any = 0;
+        let (mut asked, mut any) = ([0; BLOCK * BLOCK], 0);
         for k in 0..deep {
-            (0..wide).for_each(|j| any |= asked(j, k));
+            for j in 0..wide {
+                let bits = (self.set.row(y + j, z + k)[w] ^ self.flip) & valid;
+                asked[j + BLOCK * k] = bits;
+                any |= bits;
+            }
         }
         if any == 0 {
             return;
         }
         let first = self.map.place(self.frame.center([w * 64, y, z]));
-        let masks = self.masks(any, first);
-        if masks.iter().all(|m| m.all | m.mixed == 0) {
+        let blocks = self.blocks.verdicts(first);
+        // The blocks' bits are bytes of the word.
+        let byte = |set: u8, x: usize| u64::from(set >> x & 1) * (0xFF << (8 * x));
+        let (mut whole, mut masks) = (0, [[Masks::default(); 4]; 4]);
+        for x in (0..8).filter(|x| any >> (8 * x) & 0xFF != 0) {
+            whole |= byte(blocks.all, x);
+            if (blocks.some & !blocks.all) >> x & 1 == 1 {
+                let at = first + self.steps[0] * (x * BLOCK) as f64;
+                self.split(x * BLOCK, at, &mut masks);
+            }
+        }
+        if any & (0..8).map(|x| byte(blocks.some, x)).sum::<u64>() == 0 {
             return;
         }
         let words = self.set.words_per_row();
+        if blocks.some == blocks.all {
+            for k in 0..deep {
+                for j in 0..wide {
+                    slab[(k * ny + y + j) * words + w] = asked[j + BLOCK * k] & whole;
+                }
+            }
+            return;
+        }
         for k in 0..deep {
             for j in 0..wide {
-                let (m, asked) = (&masks[j / PART + 2 * (k / PART)], asked(j, k));
-                let mut pass = asked & m.all;
+                let (m, asked) = (&masks[j / PARTS[1]][k / PARTS[1]], asked[j + BLOCK * k]);
+                let mut pass = asked & (whole | m.all);
                 if asked & m.mixed != 0 {
                     let row = first + self.steps[1] * j as f64 + self.steps[2] * k as f64;
                     pass |= self.singly(asked & m.mixed, row);
@@ -117,159 +181,200 @@ impl Sieve<'_> {
         }
     }
 
-    /// What the bounds tell of eight blocks that start at `first`, for each half along y and z.
-    fn masks(&self, any: u64, first: DVec3) -> [Masks; 4] {
-        let mut masks = [Masks::default(); 4];
-        for b in 0..64 / BLOCK {
-            let byte = 0xFF << (b * BLOCK);
-            if any & byte == 0 {
+    /// The parts of a block at bit `x` of a word that stands at `at`, and their parts.
+    #[inline(always)]
+    fn split(&self, x: usize, at: DVec3, masks: &mut [[Masks; 4]; 4]) {
+        let octant = |part: usize| [part & 1, part >> 1 & 1, part >> 2];
+        let told = self.parts.verdicts(at);
+        for part in (0..8).filter(|p| told.some >> p & 1 == 1) {
+            let [i, j, k] = octant(part);
+            let x = x + i * PARTS[0];
+            if told.all >> part & 1 == 1 {
+                for m in masks[2 * j..2 * j + 2].iter_mut().flat_map(|m| &mut m[2 * k..][..2]) {
+                    m.all |= 0xF << x;
+                }
                 continue;
             }
-            let at = first + self.steps[0] * (b * BLOCK) as f64;
-            match self.blocks.verdict(at) {
-                Verdict::None => {}
-                Verdict::All => masks.iter_mut().for_each(|m| m.all |= byte),
-                Verdict::Mixed => {
-                    for part in 0..8 {
-                        let [i, j, k] = [part & 1, part >> 1 & 1, part >> 2];
-                        let by = |a: usize, n: usize| self.steps[a] * (n * PART) as f64;
-                        let nibble = 0x0F << (b * BLOCK + i * PART);
-                        let m = &mut masks[j + 2 * k];
-                        match self.parts.verdict(at + by(0, i) + by(1, j) + by(2, k)) {
-                            Verdict::None => {}
-                            Verdict::All => m.all |= nibble,
-                            Verdict::Mixed => m.mixed |= nibble,
-                        }
-                    }
-                }
+            let by = |a: usize, i: usize| self.steps[a] * (i * PARTS[0]) as f64;
+            let told = self.small.verdicts(at + by(0, i) + by(1, j) + by(2, k));
+            for part in (0..8).filter(|p| told.some >> p & 1 == 1) {
+                let [i, dj, dk] = octant(part);
+                let m = &mut masks[2 * j + dj][2 * k + dk];
+                let bits = 0b11 << (x + i * PARTS[1]);
+                *(if told.all >> part & 1 == 1 { &mut m.all } else { &mut m.mixed }) |= bits;
             }
         }
-        masks
     }
 
     /// The voxels of a word that the map reaches; the word's first voxel stands at `first`.
+    #[inline(always)]
     fn singly(&self, asked: u64, first: DVec3) -> u64 {
         let (mut rest, mut pass) = (asked, 0);
         while rest != 0 {
-            let start = rest.trailing_zeros() as usize & !(PART - 1);
+            let start = rest.trailing_zeros() as usize & !(PARTS[1] - 1);
             let mut at = first + self.steps[0] * start as f64;
-            for i in start..start + PART {
+            for i in start..start + PARTS[1] {
                 pass |= u64::from(self.map.reaches_at(at)) << i;
                 at += self.steps[0];
             }
-            rest &= !(0x0F << start);
+            rest &= !(0b11 << start);
         }
         pass & asked
     }
 }
 
-/// What the bounds tell of a cube of voxels.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Verdict {
-    None,
-    All,
-    Mixed,
+/// What the bounds tell of eight cubes of voxels, a bit each.
+#[derive(Clone, Copy)]
+struct Told {
+    /// Some of its voxels may be reached.
+    some: u8,
+    /// All of them are.
+    all: u8,
 }
 
 /// Least and largest G under cubes of voxels: over all cells from a tile of cells on that a cube
-/// whose first cell lies in it may span.
+/// whose first cell lies in it may span. Eight cubes are looked up together.
 struct Bounds {
     /// Tiles per cell.
-    per_cell: f64,
-    /// Tiles along u and v.
-    n: [usize; 2],
-    /// From the first voxel of a cube to the lowest and highest of its others, in cells and mm.
-    reach: [(f64, f64); 3],
-    /// The last cell that a cube may touch, for the map to hold all of them.
-    last: DVec2,
+    per_cell: f32,
+    /// Tiles along u.
+    nu: i32,
+    /// From the place asked for to the first cell of each cube, and to its lowest and highest voxel.
+    first: [[f32; 8]; 2],
+    lowest: [f32; 8],
+    highest: [f32; 8],
+    /// The last first cell of a cube that the map holds all cells of.
+    last: [f32; 2],
+    /// With the margin.
     range: Vec<(f32, f32)>,
 }
 
-/// What hides the rounding of places, cells.
-const HAIR: f64 = 1e-6;
+/// What hides the rounding of places, cells: far above that of f32 up to some thousand cells.
+const HAIR: f64 = 2e-3;
 
 impl Bounds {
-    /// Those of blocks and of their parts.
-    fn of(map: &DepthMap, steps: &[DVec3; 3]) -> [Bounds; 2] {
+    /// Those of blocks along a word, of the parts of a block and of the parts of a part.
+    #[inline(always)]
+    fn of(map: &DepthMap, steps: &[DVec3; 3]) -> [Bounds; 3] {
         let (cells, nu, nv) = map.cells();
-        let fine = [Tiles::of::<Least>(cells, [nu, nv], 2), Tiles::of::<Largest>(cells, [nu, nv], 2)];
-        let coarse = [
-            Tiles::of::<Least>(&fine[0].cells, fine[0].n, 4),
-            Tiles::of::<Largest>(&fine[1].cells, fine[1].n, 4),
-        ];
-        let of = |[least, largest]: [Tiles; 2], tile: usize, voxels: usize| {
-            let far = (voxels - 1) as f64;
-            let reach = [0, 1, 2].map(|a| {
-                let ends = steps.map(|s| s[a] * far);
-                let sum = |f: fn(f64, f64) -> f64| ends.iter().map(|e| f(*e, 0.0)).sum::<f64>();
-                (sum(f64::min), sum(f64::max))
-            });
-            // A cube's first cell may be any of its tile.
-            let spans = [0, 1].map(|a| {
-                let cells = (reach[a].1 - reach[a].0 + 2.0 * HAIR) as usize + 1;
-                (tile - 1 + cells) / tile + 1
-            });
-            let n = least.n;
-            let least = least.widened::<Least>(spans).cells;
-            let largest = largest.widened::<Largest>(spans).cells;
-            let range = least.into_iter().zip(largest).collect();
-            let last = DVec2::new((nu - 1) as f64, (nv - 1) as f64);
-            Bounds { per_cell: 1.0 / tile as f64, n, reach, last, range }
-        };
-        [of(coarse, 8, BLOCK), of(fine, 2, PART)]
+        let n = [nu, nv];
+        let small = Tiles::of::<{ TILES[2] }>(cells, cells, n);
+        let parts = Tiles::of::<{ TILES[1] / TILES[2] }>(&small.least, &small.largest, small.n);
+        let blocks = Tiles::of::<{ TILES[0] / TILES[1] }>(&parts.least, &parts.largest, parts.n);
+        let row: [[usize; 3]; 8] = std::array::from_fn(|i| [i, 0, 0]);
+        let octants: [[usize; 3]; 8] = std::array::from_fn(|i| [i & 1, i >> 1 & 1, i >> 2]);
+        [
+            Bounds::over(blocks, n, TILES[0], BLOCK, steps, row),
+            Bounds::over(parts, n, TILES[1], PARTS[0], steps, octants),
+            Bounds::over(small, n, TILES[2], PARTS[1], steps, octants),
+        ]
     }
 
-    /// What there is to tell of a cube whose first voxel stands at `at`.
-    #[inline]
-    fn verdict(&self, at: DVec3) -> Verdict {
-        let [u, v, z] = self.reach;
-        let lo = DVec2::new(at.x + u.0, at.y + v.0) + DVec2::splat(0.5 - HAIR);
-        let hi = DVec2::new(at.x + u.1, at.y + v.1);
-        if lo.x < 0.0 || lo.y < 0.0 || hi.x > self.last.x || hi.y > self.last.y {
-            return Verdict::Mixed;
-        }
-        let tile = [lo.x, lo.y].map(|c| (c * self.per_cell) as i32 as usize);
-        let Some((least, most)) = self.range.get(tile[0] + self.n[0] * tile[1]) else {
-            return Verdict::Mixed;
+    /// Those of eight cubes of `voxels` along each axis, on a map of `n` cells; `cubes` are the
+    /// cubes' numbers along x, y, z.
+    #[inline(always)]
+    fn over(
+        tiles: Tiles,
+        n: [usize; 2],
+        tile: usize,
+        voxels: usize,
+        steps: &[DVec3; 3],
+        cubes: [[usize; 3]; 8],
+    ) -> Bounds {
+        // From a cube's first voxel to its lowest and highest ones, in cells and mm.
+        let reach = [0, 1, 2].map(|a| {
+            let ends = steps.map(|s| s[a] * (voxels - 1) as f64);
+            let sum = |f: fn(f64, f64) -> f64| ends.iter().map(|e| f(*e, 0.0)).sum::<f64>();
+            (sum(f64::min), sum(f64::max))
+        });
+        // A cube's first cell may be any of its tile.
+        let spans = [0, 1].map(|a| {
+            let cells = (reach[a].1 - reach[a].0 + 2.0 * HAIR) as usize + 1;
+            (tile - 1 + cells) / tile + 1
+        });
+        let to = |a: usize, more: f64| {
+            cubes.map(|c| {
+                let cube = (0..3).map(|i| steps[i][a] * (c[i] * voxels) as f64).sum::<f64>();
+                (cube + more) as f32
+            })
         };
-        if at.z + z.1 < f64::from(*least) - MARGIN_MM {
-            Verdict::None
-        } else if at.z + z.0 > f64::from(*most) + MARGIN_MM {
-            Verdict::All
-        } else {
-            Verdict::Mixed
+        // The cell that holds a place is the floor of what lies half a cell further.
+        let last = |a: usize| n[a] as f64 - 1.0 - (reach[a].1 - reach[a].0) - 2.0 * HAIR;
+        Bounds {
+            per_cell: 1.0 / tile as f32,
+            nu: tiles.n[0] as i32,
+            first: [0, 1].map(|a| to(a, reach[a].0 + 0.5 - HAIR)),
+            lowest: to(2, reach[2].0),
+            highest: to(2, reach[2].1),
+            last: [last(0) as f32, last(1) as f32],
+            range: tiles.widened(spans),
         }
+    }
+
+    /// What there is to tell of the eight cubes from the place `at` on.
+    #[inline(always)]
+    fn verdicts(&self, at: DVec3) -> Told {
+        let (u, v, z) = (at.x as f32, at.y as f32, at.z as f32);
+        let (mut tile, mut known) = ([0; 8], [false; 8]);
+        for c in 0..8 {
+            let (u, v) = (u + self.first[0][c], v + self.first[1][c]);
+            known[c] = u >= 0.0 && v >= 0.0 && u <= self.last[0] && v <= self.last[1];
+            tile[c] = (u * self.per_cell) as i32 + self.nu * (v * self.per_cell) as i32;
+        }
+        let mut told = Told { some: 0, all: 0 };
+        for c in 0..8 {
+            let range = self.range.get(tile[c] as usize).filter(|_| known[c]);
+            let (least, most) = range.copied().unwrap_or((f32::NEG_INFINITY, f32::INFINITY));
+            told.some |= u8::from(z + self.highest[c] >= least) << c;
+            told.all |= u8::from(z + self.lowest[c] > most) << c;
+        }
+        told
     }
 }
 
 /// Extremes of square tiles of cells.
 struct Tiles {
+    /// Tiles along u and v.
     n: [usize; 2],
-    cells: Vec<f32>,
+    least: Vec<f32>,
+    largest: Vec<f32>,
 }
 
 impl Tiles {
-    fn of<E: Extreme>(cells: &[f32], [nu, nv]: [usize; 2], tile: usize) -> Tiles {
-        let n = [nu.div_ceil(tile), nv.div_ceil(tile)];
-        let mut out = Vec::with_capacity(n[0] * n[1]);
-        let mut across = vec![E::NONE; nu];
-        for rows in cells.chunks(nu.max(1) * tile) {
-            across.fill(E::NONE);
-            for row in rows.chunks(nu.max(1)) {
-                across.iter_mut().zip(row).for_each(|(a, c)| *a = E::of(*a, *c));
+    /// Of tiles of TILE cells along each axis; the cells are given by their own extremes.
+    #[inline(always)]
+    fn of<const TILE: usize>(least: &[f32], largest: &[f32], [nu, nv]: [usize; 2]) -> Tiles {
+        let (width, n) = (nu.max(1), [nu.div_ceil(TILE), nv.div_ceil(TILE)]);
+        let mut across = [vec![0.0; n[0] * TILE], vec![0.0; n[0] * TILE]];
+        let [mut low, mut high] =
+            [Vec::with_capacity(n[0] * n[1]), Vec::with_capacity(n[0] * n[1])];
+        for (least, largest) in least.chunks(width * TILE).zip(largest.chunks(width * TILE)) {
+            let [lows, highs] = &mut across;
+            lows.fill(Least::NONE);
+            highs.fill(Largest::NONE);
+            for (least, largest) in least.chunks(width).zip(largest.chunks(width)) {
+                lows.iter_mut().zip(least).for_each(|(a, c)| *a = Least::of(*a, *c));
+                highs.iter_mut().zip(largest).for_each(|(a, c)| *a = Largest::of(*a, *c));
             }
-            out.extend(across.chunks(tile).map(|t| t.iter().fold(E::NONE, |a, c| E::of(a, *c))));
+            let least = |t: &[f32]| t.iter().fold(Least::NONE, |a, c| Least::of(a, *c));
+            let largest = |t: &[f32]| t.iter().fold(Largest::NONE, |a, c| Largest::of(a, *c));
+            low.extend(lows.chunks_exact(TILE).map(least));
+            high.extend(highs.chunks_exact(TILE).map(largest));
         }
-        Tiles { n, cells: out }
+        Tiles { n, least: low, largest: high }
     }
 
-    /// Each the extreme of those from it on, `spans` of them along either axis.
-    fn widened<E: Extreme>(mut self, spans: [usize; 2]) -> Tiles {
+    /// Of each the extremes of those from it on, `spans` of them along either axis.
+    #[inline(always)]
+    fn widened(mut self, spans: [usize; 2]) -> Vec<(f32, f32)> {
         let room = &mut Vec::new();
         // What runs on from a row's end into the next only widens the range there.
-        running_extreme::<E>(&mut self.cells, room, 1, spans[0]);
-        running_extreme::<E>(&mut self.cells, room, self.n[0], spans[1]);
-        self
+        for (stride, span) in [(1, spans[0]), (self.n[0], spans[1])] {
+            running_extreme::<Least>(&mut self.least, room, stride, span);
+            running_extreme::<Largest>(&mut self.largest, room, stride, span);
+        }
+        let range = self.least.iter().zip(&self.largest);
+        range.map(|(least, most)| (least - MARGIN_MM, most + MARGIN_MM)).collect()
     }
 }
 
