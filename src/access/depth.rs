@@ -15,6 +15,7 @@
 
 use super::Scene;
 use super::filter::{Image, Kernel, Op, Spans, filter};
+use super::image::{DepthImage, pool, splat, spread};
 use super::lattice::{DepthMap, Lattice};
 use crate::base::{Aabb, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
@@ -35,9 +36,6 @@ fn spacing(frame: &Frame, direction: Direction) -> f64 {
 fn rounding_cells(direction: Direction) -> f64 {
     if direction.is_grid_axis() { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 }
 }
-
-/// The highest points over the cells of a lattice, mm, with its pooling.
-type DepthImage = (usize, Lattice, Vec<f32>);
 
 /// A direction's look at a scene, for the voxels of one set.
 struct View<'a> {
@@ -201,83 +199,6 @@ impl<'a> View<'a> {
     }
 }
 
-/// Puts every obstacle point of a scene into the first image, and those beyond it into the others;
-/// the height of the highest.
-fn splat(scene: &Scene, plane: &ImagePlane, images: &mut [DepthImage]) -> f64 {
-    let Some(((_, lattice, image), coarser)) = images.split_first_mut() else { return f64::MIN };
-    let (mut highest, beyond) = splat_voxels(scene, plane, *lattice, image);
-    for p in beyond.iter().chain(scene.fixed()) {
-        let (uv, z) = (plane.across(*p), plane.height(*p));
-        highest = highest.max(z);
-        if let Some(c) = lattice.cell(uv) {
-            image[c] = image[c].max(z as f32);
-            continue;
-        }
-        for (_, lattice, image) in coarser.iter_mut() {
-            if let Some(c) = lattice.cell(uv) {
-                image[c] = image[c].max(z as f32);
-            }
-        }
-    }
-    highest
-}
-
-/// Puts the voxels of a scene into an image; answers with the height of the highest of them and the
-/// centres of those beyond it. The lattice comes by value: what the loop looks at stays in
-/// registers, not behind a reference that a store might change.
-fn splat_voxels(
-    scene: &Scene,
-    plane: &ImagePlane,
-    lattice: Lattice,
-    image: &mut [f32],
-) -> (f64, Vec<DVec3>) {
-    let (mut highest, mut beyond) = (f64::MIN, Vec::new());
-    let step = lattice.steps(plane, scene.frame.pitch)[0];
-    let [_, ny, nz] = scene.voxels().dims();
-    for (y, z) in (0..nz).flat_map(|z| (0..ny).map(move |y| (y, z))) {
-        let row = scene.voxels().row(y, z);
-        if row.iter().all(|w| *w == 0) {
-            continue;
-        }
-        let centre = scene.frame.center([0, y, z]);
-        let first = lattice.place(plane.across(centre)).extend(plane.height(centre));
-        for (w, &bits) in row.iter().enumerate() {
-            let mut rest = bits;
-            while rest != 0 {
-                let x = w * 64 + rest.trailing_zeros() as usize;
-                rest &= rest - 1;
-                let at = first + step * x as f64;
-                highest = if at.z > highest { at.z } else { highest };
-                match lattice.cell_at(at.truncate()).and_then(|c| image.get_mut(c)) {
-                    Some(c) => *c = if at.z as f32 > *c { at.z as f32 } else { *c },
-                    None => beyond.push(scene.frame.center([x, y, z])),
-                }
-            }
-        }
-    }
-    (highest, beyond)
-}
-
-/// The highest of the cells of an image that lie in each cell of a coarser one, where it is higher
-/// than what the coarser one has.
-fn pool(fine: &Lattice, from: &[f32], coarse: &Lattice, onto: &mut [f32]) {
-    let [columns, rows] = coarse.pooled(fine);
-    let mut across = vec![f32::NEG_INFINITY; fine.nu];
-    for (j, row) in rows.iter().enumerate() {
-        for (a, h) in across.iter_mut().zip(&from[j * fine.nu..]) {
-            *a = if *h > *a { *h } else { *a };
-        }
-        if rows.get(j + 1) == Some(row) {
-            continue;
-        }
-        let onto = &mut onto[coarse.nu * row..][..coarse.nu];
-        for (a, i) in across.iter_mut().zip(&columns) {
-            onto[*i] = if *a > onto[*i] { *a } else { onto[*i] };
-            *a = f32::NEG_INFINITY;
-        }
-    }
-}
-
 /// One voxel for each column of a set along a grid axis: columns share their cell. None along any
 /// other direction.
 fn shadow(set: &BitGrid, d: DVec3) -> Option<BitGrid> {
@@ -414,28 +335,6 @@ fn lower_bound(shape: &Shape, rho: f64) -> f64 {
     match *shape {
         Shape::Frustum { z0, r0, r1, .. } if r1 < r0 && rho <= r0 => z0,
         _ => shape.lower_surface(rho),
-    }
-}
-
-/// Raises the cells of `tips` to the value of the coarse cell they lie in.
-fn spread(from: &Lattice, coarse: &[f32], onto: &Lattice, tips: &Spans, out: &mut [f32]) {
-    let [columns, rows] = from.pooled(onto);
-    let mut wide = vec![f32::NEG_INFINITY; onto.nu];
-    let mut of_row = None;
-    for ((row, spans), out) in rows.iter().zip(tips.rows()).zip(out.chunks_mut(onto.nu)) {
-        if spans.is_empty() {
-            continue;
-        }
-        if of_row != Some(row) {
-            of_row = Some(row);
-            let coarse = &coarse[from.nu * row..][..from.nu];
-            wide.iter_mut().zip(&columns).for_each(|(w, i)| *w = coarse[*i]);
-        }
-        for s in spans {
-            for (o, w) in out[s.clone()].iter_mut().zip(&wide[s.clone()]) {
-                *o = if *w > *o { *w } else { *o };
-            }
-        }
     }
 }
 

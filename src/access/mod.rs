@@ -24,6 +24,7 @@ mod columns;
 mod depend;
 mod depth;
 mod filter;
+mod image;
 mod lattice;
 mod mesh_tool;
 mod open;

@@ -290,7 +290,7 @@ impl Bounds {
         // A cube's first cell may be any of its tile.
         let spans = [0, 1].map(|a| {
             let cells = (reach[a].1 - reach[a].0 + 2.0 * HAIR) as usize + 1;
-            (tile - 1 + cells) / tile + 1
+            cells.div_ceil(tile) + 1
         });
         let to = |a: usize, more: f64| {
             cubes.map(|c| {
