@@ -8,7 +8,7 @@
 //! falls outward, f at that smaller radius is a lower bound. Along grid axes points and tips
 //! coincide with cell centres and nothing is lost. Sections wider than [`WIDEST_CELLS`] cells are
 //! treated on an image pooled by a power of two, where both the point and the tip may be
-//! anywhere in their cell.
+//! anywhere in their cell (a tip in the middle of any cell of the lattice in it).
 //!
 //! A map is made for the voxels of one set and answers for these alone: only the cells under them
 //! are computed, so that a handful of voxels scattered over a part costs a handful of kernels.
