@@ -1,9 +1,15 @@
 //! `hmplan analyze` from outside: what it prints, what it writes, what it refuses.
 
 use assert_cmd::Command;
+use hmplan::base::{Ctx, DVec2, DVec3, Direction};
+use hmplan::machine::Tool;
+use hmplan::mesh::{ReadOptions, read};
+use hmplan::voxel::{BitGrid, Frame, voxelise};
 use predicates::prelude::*;
 use predicates::str::contains;
+use rayon::prelude::*;
 use std::fs;
+use std::path::Path;
 
 fn hmplan() -> Command {
     let mut command = Command::cargo_bin("hmplan").unwrap();
@@ -102,4 +108,85 @@ fn analyze_refuses_with_one_message() {
     fs::write(home.path().join("thesis.tex"), "mine").unwrap();
     let dir = home.path().to_str().unwrap();
     refused(&mut analyze(&["--tool", "w2v-cutter", "-o", dir]), "no earlier analysis");
+}
+
+/// Voxels outside a solid that the edge of a tool touches from some tip of a lattice of spacing
+/// `step` mm, by the definition: no obstacle point lies within the tool. The body is `by` mm wider
+/// and the edge as much narrower; the voxels are asked `hair` mm lower than they are.
+fn by_definition(
+    (frame, solid): (&Frame, &BitGrid),
+    tool: &Tool,
+    direction: Direction,
+    [step, by, hair]: [f64; 3],
+) -> usize {
+    let plane = direction.image_plane();
+    let place = |p: DVec3| (plane.across(p), plane.height(p));
+    let points: Vec<(DVec2, f64)> =
+        solid.boundary().iter_ones().map(|v| place(frame.center(v))).collect();
+    let anchor = plane.across(frame.center([0, 0, 0]));
+    let n = (tool.active_radius() / step).ceil() as i64 + 1;
+    let touches = |v: [usize; 3]| {
+        let (uv, height) = place(frame.center(v));
+        let near = ((uv - anchor) / step).round();
+        (-n..=n).flat_map(|j| (-n..=n).map(move |i| DVec2::new(i as f64, j as f64))).any(|o| {
+            let tip = anchor + (near + o) * step;
+            let k = tool.active_lower_surface(tip.distance(uv) + by);
+            let z = height - hair - k;
+            let free = |(o, top): &(DVec2, f64)| {
+                *top <= z + tool.lower_surface((tip.distance(*o) - by).max(0.0)) + 1e-9
+            };
+            k.is_finite() && points.iter().all(free)
+        })
+    };
+    let air = BitGrid::from_fn(frame.dims, |v| !solid.get(v));
+    air.iter_ones().par_bridge().filter(|v| touches(*v)).count()
+}
+
+/// Runs `hmplan analyze` and asks the definition about every `stride`-th of its directions.
+fn confirm(path: &Path, pitch: f64, more: &[&str], stride: usize) {
+    let mut command = hmplan();
+    command.arg("analyze").arg(path).args(["--tool", "w2v-cutter", "--json", "--resolution"]);
+    let output = command.arg(pitch.to_string()).args(more).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let record: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let frame: Frame = serde_json::from_value(record["grid"].clone()).unwrap();
+    let mesh = read(path, &ReadOptions { mm_per_unit: 1.0 }).unwrap().mesh;
+    let solid = voxelise(&mesh, &frame, &Ctx::quiet()).unwrap();
+    let voxels = |mm3: &serde_json::Value| (mm3.as_f64().unwrap() / frame.voxel_volume()).round();
+    assert_eq!(voxels(&record["part_mm3"]) as usize, solid.count());
+    let tool = Tool::builtin("w2v-cutter").unwrap();
+    let (h, part) = (frame.pitch, (&frame, &solid));
+    let (mut least_of_all, mut reached_of_all) = (0, 0);
+    for told in record["directions"].as_array().unwrap().iter().step_by(stride) {
+        let direction: Direction = serde_json::from_value(told["direction"].clone()).unwrap();
+        let reached = voxels(&told["accessible_mm3"]) as usize;
+        // On the axes the definition itself; elsewhere within the bound, on the safe side.
+        let (step, by) =
+            if direction.is_grid_axis() { (h, 0.0) } else { (h / 2.0, h / 2f64.sqrt() + 1e-6) };
+        let fine = if by == 0.0 { step } else { step / 2.0 };
+        let least = by_definition(part, &tool, direction, [fine, by, 1e-3]);
+        let most = by_definition(part, &tool, direction, [step, 0.0, 0.0]);
+        assert!((least..=most).contains(&reached), "{direction:?}: {least} {reached} {most}");
+        least_of_all += least;
+        reached_of_all += reached;
+    }
+    assert!(0 < least_of_all && least_of_all <= reached_of_all, "the bound says something");
+}
+
+#[test]
+fn the_definition_confirms_the_regions_of_a_made_part() {
+    let part = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/bearing_initial.obj");
+    for direction in ["0,0,1", "-1,0,0", "0.31,-0.42,0.85"] {
+        confirm(&part, 3.5, &["--direction", direction], 1);
+    }
+}
+
+#[test]
+fn the_definition_confirms_the_regions_of_a_bracket_from_a_hundred_directions() {
+    let part = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/meshes/ge_bracket.stl");
+    if !part.exists() {
+        println!("skipped: {} is not there", part.display());
+        return;
+    }
+    confirm(&part, 8.0, &["--directions", "100"], 9);
 }

@@ -96,9 +96,9 @@ fn by_definition(
             let k = tool.active_lower_surface(tip.distance(plane.across(x)) + by);
             let z = plane.height(x) - k;
             k.is_finite()
-                && scene.points().iter().all(|o| {
-                    let rho = (tip.distance(plane.across(*o)) - by).max(0.0);
-                    plane.height(*o) <= z + tool.lower_surface(rho) + 1e-9
+                && scene.points().all(|o| {
+                    let rho = (tip.distance(plane.across(o)) - by).max(0.0);
+                    plane.height(o) <= z + tool.lower_surface(rho) + 1e-9
                 })
         })
     })

@@ -8,25 +8,23 @@
 //! falls outward, f at that smaller radius is a lower bound. Along grid axes points and tips
 //! coincide with cell centres and nothing is lost. Sections wider than [`WIDEST_CELLS`] cells are
 //! treated on an image pooled by a power of two, where both the point and the tip may be
-//! anywhere in their cell.
+//! anywhere in their cell (a tip in the middle of any cell of the lattice in it).
 //!
 //! A map is made for the voxels of one set and answers for these alone: only the cells under them
 //! are computed, so that a handful of voxels scattered over a part costs a handful of kernels.
 
 use super::Scene;
 use super::filter::{Image, Kernel, Op, Spans, filter};
+use super::image::{DepthImage, pool, splat, spread};
 use super::lattice::{DepthMap, Lattice};
-use crate::base::{Aabb, DVec2, DVec3, Direction, ImagePlane};
+use crate::base::{Aabb, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
 use crate::voxel::{BitGrid, Frame};
+use std::f64::consts::SQRT_2;
 
 /// Largest radius of a section in cells of the image it is treated on. Larger is slower by its
 /// square; smaller makes wide sections wider than they are (by at most √2/12 at this value).
 const WIDEST_CELLS: f64 = 24.0;
-
-/// Points that are turned into a direction's frame together: so few that they stay in a core's first
-/// cache.
-const POINTS: usize = 512;
 
 /// Spacing of the tip lattice of a direction, mm.
 fn spacing(frame: &Frame, direction: Direction) -> f64 {
@@ -51,7 +49,7 @@ struct View<'a> {
     /// How far around them the window reaches, mm.
     margin: f64,
     /// Depth images by pooling, each wide enough for every section treated on it.
-    images: Vec<(usize, Lattice, Vec<f32>)>,
+    images: Vec<DepthImage>,
     /// Height of the highest obstacle point, mm, once they were looked at.
     highest: Option<f64>,
 }
@@ -88,8 +86,12 @@ impl<'a> View<'a> {
         let Some(wanted) = self.wanted else {
             return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
         };
-        let mut under = vec![false; lattice.nu * lattice.nv];
         let shadow = shadow(wanted, self.plane.d);
+        // To look up more voxels than there are cells takes longer than the cells in between.
+        if shadow.is_none() && wanted.count() > lattice.nu * lattice.nv {
+            return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
+        }
+        let mut under = vec![false; lattice.nu * lattice.nv];
         for v in shadow.as_ref().unwrap_or(wanted).iter_ones() {
             if let Some(c) = lattice.cell(self.plane.across(self.scene.frame.center(v))) {
                 under[c] = true;
@@ -99,41 +101,32 @@ impl<'a> View<'a> {
     }
 
     /// The highest point per cell, mm, on the images by these poolings that are not there yet, and
-    /// the highest of all: one pass over the points.
+    /// the highest of all. One pass over the points fills the finest image; the coarser ones take
+    /// from it, and from the points beyond it.
     fn look(&mut self, pools: &[usize]) {
-        let first = self.images.len();
-        for pool in pools {
-            if !self.images.iter().any(|(p, ..)| p == pool) {
-                let wide = self.margin + (WIDEST_CELLS + 2.0) * *pool as f64 * self.spacing;
-                let lattice = self.lattice(wide, *pool);
-                let image = vec![f32::NEG_INFINITY; lattice.nu * lattice.nv];
-                self.images.push((*pool, lattice, image));
-            }
-        }
-        let new = &mut self.images[first..];
+        let mut new: Vec<usize> = pools.to_vec();
+        new.sort_unstable();
+        new.dedup();
+        new.retain(|pool| !self.images.iter().any(|(p, ..)| p == pool));
         if new.is_empty() && self.highest.is_some() {
             return;
         }
-        let mut highest = f64::MIN;
-        let mut places = [(DVec2::ZERO, 0f32); POINTS];
-        for points in self.scene.points().chunks(POINTS) {
-            let places = &mut places[..points.len()];
-            for (place, p) in places.iter_mut().zip(points) {
-                let z = self.plane.height(*p);
-                highest = highest.max(z);
-                *place = (self.plane.across(*p), z as f32);
-            }
-            for (_, lattice, image) in new.iter_mut() {
-                for (uv, z) in places.iter() {
-                    if let Some(c) = lattice.cell(*uv)
-                        && *z > image[c]
-                    {
-                        image[c] = *z;
-                    }
-                }
-            }
+        if new.is_empty() {
+            new.push(1);
         }
-        self.highest = Some(highest);
+        let mut new: Vec<DepthImage> = new
+            .into_iter()
+            .map(|pool| {
+                let wide = self.margin + (WIDEST_CELLS + 2.0) * pool as f64 * self.spacing;
+                let lattice = self.lattice(wide, pool);
+                (pool, lattice, vec![f32::NEG_INFINITY; lattice.nu * lattice.nv])
+            })
+            .collect();
+        self.highest = Some(splat(self.scene, &self.plane, &mut new));
+        if let Some(((_, fine, from), coarser)) = new.split_first_mut() {
+            coarser.iter_mut().for_each(|(_, lattice, image)| pool(fine, from, lattice, image));
+        }
+        self.images.append(&mut new);
     }
 
     /// The window in which tips may stand.
@@ -149,12 +142,6 @@ impl<'a> View<'a> {
         sections: &[(Section, f64)],
         rounding_cells: f64,
     ) -> Vec<f32> {
-        let window = self.window();
-        // A cell that is not computed is closed, whoever asks.
-        let mut lowest = vec![f32::INFINITY; window.nu * window.nv];
-        for (row, spans) in lowest.chunks_mut(window.nu).zip(tips.rows()) {
-            spans.iter().for_each(|s| row[s.clone()].fill(f32::NEG_INFINITY));
-        }
         let seen: Vec<&(Section, f64)> = sections
             .iter()
             .enumerate()
@@ -173,22 +160,27 @@ impl<'a> View<'a> {
         let pools: Vec<usize> =
             seen.iter().filter(|(s, _)| round(s)).map(|(s, _)| pool_of(&s.shape)).collect();
         self.look(&pools);
-        for (section, lift) in seen {
-            if let Shape::Platform { z } = section.shape {
-                let floor = (self.highest.unwrap_or(f64::MIN) - z - lift) as f32;
-                lowest.iter_mut().for_each(|h| *h = h.max(floor));
-                continue;
-            }
+        // Everything stands below a platform.
+        let highest = self.highest.unwrap_or(f64::MIN);
+        let floor = |(section, lift): &(Section, f64)| match section.shape {
+            Shape::Platform { z } => (highest - z - lift) as f32,
+            _ => f32::NEG_INFINITY,
+        };
+        let floor = sections.iter().map(floor).fold(f32::NEG_INFINITY, f32::max);
+        let window = self.window();
+        // A cell that is not computed is closed, whoever asks.
+        let mut lowest = vec![f32::INFINITY; window.nu * window.nv];
+        for (row, spans) in lowest.chunks_mut(window.nu).zip(tips.rows()) {
+            spans.iter().for_each(|s| row[s.clone()].fill(floor));
+        }
+        for (section, lift) in seen.iter().filter(|(s, _)| round(s)) {
             let pool = pool_of(&section.shape);
             let Some((_, lattice, image)) = self.images.iter().find(|(p, ..)| *p == pool) else {
                 continue;
             };
-            let cells = if pool == 1 {
-                rounding_cells
-            } else {
-                // Point and tip may each be half a diagonal from their cell's centre.
-                std::f64::consts::SQRT_2
-            };
+            // A point and a tip are each up to (pool − 1) / 2 cells of the tip lattice along both
+            // axes from the middle of the cell they are pooled into.
+            let cells = (rounding_cells + (pool - 1) as f64 * SQRT_2) / pool as f64;
             let kernel = section_kernel(&section.shape, *lift, lattice.spacing, cells);
             let image = Image { width: lattice.nu, cells: image };
             if pool == 1 {
@@ -343,19 +335,6 @@ fn lower_bound(shape: &Shape, rho: f64) -> f64 {
     match *shape {
         Shape::Frustum { z0, r0, r1, .. } if r1 < r0 && rho <= r0 => z0,
         _ => shape.lower_surface(rho),
-    }
-}
-
-/// Raises the cells of `tips` to the value of the coarse cell they lie in.
-fn spread(from: &Lattice, coarse: &[f32], onto: &Lattice, tips: &Spans, out: &mut [f32]) {
-    for (j, spans) in tips.rows().enumerate() {
-        for i in spans.iter().flat_map(|s| s.clone()) {
-            let uv = onto.first + DVec2::new(i as f64, j as f64) * onto.spacing;
-            if let Some(c) = from.cell(uv) {
-                let o = &mut out[i + onto.nu * j];
-                *o = o.max(coarse[c]);
-            }
-        }
     }
 }
 

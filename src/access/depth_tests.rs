@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::access::reached_along;
-use crate::base::{Ctx, fibonacci_sphere};
+use crate::base::{Ctx, DVec2, fibonacci_sphere};
 use crate::machine::ToolKind;
 use crate::mesh::{ReadOptions, read};
 use crate::morph::complement;
@@ -32,9 +32,9 @@ fn naive_cut(scene: &Scene, tool: &Tool, d: Direction, x: DVec3) -> bool {
             let k = tool.active_lower_surface(tip.distance(plane.across(x)));
             let z = plane.height(x) - k;
             k.is_finite()
-                && scene.points().iter().all(|o| {
-                    let rho = tip.distance(plane.across(*o));
-                    plane.height(*o) <= z + tool.lower_surface(rho) + 1e-9
+                && scene.points().all(|o| {
+                    let rho = tip.distance(plane.across(o));
+                    plane.height(o) <= z + tool.lower_surface(rho) + 1e-9
                 })
         })
     })
@@ -42,11 +42,11 @@ fn naive_cut(scene: &Scene, tool: &Tool, d: Direction, x: DVec3) -> bool {
 
 fn naive_deposit(scene: &Scene, tool: &Tool, d: Direction, dip: f64, x: DVec3) -> bool {
     let plane = d.image_plane();
-    scene.points().iter().all(|o| {
-        let rho = plane.across(x).distance(plane.across(*o));
+    scene.points().all(|o| {
+        let rho = plane.across(x).distance(plane.across(o));
         tool.sections.iter().all(|sec| {
             let lift = if sec.shape.lower_surface(0.0) == 0.0 { dip } else { 0.0 };
-            plane.height(*o) <= plane.height(x) + sec.shape.lower_surface(rho) + lift + 1e-9
+            plane.height(o) <= plane.height(x) + sec.shape.lower_surface(rho) + lift + 1e-9
         })
     })
 }

@@ -6,11 +6,13 @@
 //! value (the flat of a holder) takes a running extreme instead of one pass a cell. Extremes of
 //! f32 are exact: every order of evaluation gives the same bytes.
 
+use pulp::Arch;
 use rayon::prelude::*;
+use std::marker::PhantomData;
 use std::ops::Range;
 
-/// Cells per register block of the inner loop.
-const BLOCK: usize = 16;
+/// Cells per register block of the inner loop: four of a machine's widest common registers.
+const BLOCK: usize = 32;
 
 /// Wanted runs closer than this are computed as one; the gap costs less than a second start.
 const JOIN: usize = 24;
@@ -147,6 +149,7 @@ pub fn filter(
     spans: &Spans,
     kernel: &Kernel,
 ) {
+    let arch = Arch::new();
     out.par_chunks_mut(width).zip(&spans.rows).enumerate().for_each_init(
         Scratch::default,
         |scratch, (row, (out, spans))| {
@@ -154,22 +157,24 @@ pub fn filter(
                 let start = (at.0 + span.start as isize, at.1 + row as isize);
                 let out = &mut out[span.clone()];
                 match op {
-                    Op::Max => run::<Largest>(image, start, out, kernel, scratch),
-                    Op::Min => run::<Least>(image, start, out, kernel, scratch),
+                    Op::Max => {
+                        arch.dispatch(Run::<Largest>::of(image, start, out, kernel, scratch))
+                    }
+                    Op::Min => arch.dispatch(Run::<Least>::of(image, start, out, kernel, scratch)),
                 }
             }
         },
     );
 }
 
-trait Extreme {
+pub trait Extreme: Send + Sync {
     /// Loses against everything.
     const NONE: f32;
     fn of(a: f32, b: f32) -> f32;
 }
 
-struct Largest;
-struct Least;
+pub struct Largest;
+pub struct Least;
 
 impl Extreme for Largest {
     const NONE: f32 = f32::NEG_INFINITY;
@@ -194,85 +199,132 @@ struct Scratch {
     /// Two rows of the image made one, `reach` cells wider on either side.
     rows: Vec<f32>,
     running: Vec<f32>,
+    room: Vec<f32>,
 }
 
-/// One run of cells that starts at `start` of the image.
-fn run<E: Extreme>(
-    image: &Image,
+/// One run of cells that starts at `start` of the image, by the widest registers there are.
+struct Run<'a, E> {
+    image: &'a Image<'a>,
     start: (isize, isize),
-    out: &mut [f32],
-    kernel: &Kernel,
-    scratch: &mut Scratch,
-) {
-    let blocks = out.len().div_ceil(BLOCK);
-    let Scratch { best, rows, running } = scratch;
-    best.clear();
-    best.extend_from_slice(out);
-    best.resize(blocks * BLOCK, E::NONE);
-    for k in &kernel.rows {
-        rows.clear();
-        rows.resize(blocks * BLOCK + 2 * kernel.reach, E::NONE);
+    out: &'a mut [f32],
+    kernel: &'a Kernel,
+    scratch: &'a mut Scratch,
+    extreme: PhantomData<E>,
+}
+
+impl<'a, E> Run<'a, E> {
+    fn of(
+        image: &'a Image<'a>,
+        start: (isize, isize),
+        out: &'a mut [f32],
+        kernel: &'a Kernel,
+        scratch: &'a mut Scratch,
+    ) -> Self {
+        Run { image, start, out, kernel, scratch, extreme: PhantomData }
+    }
+}
+
+impl<E: Extreme> pulp::NullaryFnOnce for Run<'_, E> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Run { image, start, out, kernel, scratch, .. } = self;
+        let blocks = out.len().div_ceil(BLOCK);
+        let Scratch { best, rows, running, room } = scratch;
+        best.clear();
+        best.extend_from_slice(out);
+        best.resize(blocks * BLOCK, E::NONE);
         let left = start.0 - kernel.reach as isize;
-        let mut any = merge::<E>(image, left, start.1 + k.j as isize, rows);
-        if k.j > 0 {
-            any |= merge::<E>(image, left, start.1 - k.j as isize, rows);
-        }
-        if !any {
-            continue;
-        }
-        if let Some((half, value)) = k.flat {
-            running.clear();
-            running.extend_from_slice(&rows[kernel.reach - half..]);
-            running_extreme::<E>(running, 2 * half + 1);
-            for (b, r) in best.iter_mut().zip(running.iter()) {
-                *b = E::of(r + value, *b);
-            }
-        }
-        for (c, block) in best.chunks_exact_mut(BLOCK).enumerate() {
-            let at = kernel.reach + c * BLOCK;
-            let mut acc = [E::NONE; BLOCK];
-            acc.copy_from_slice(block);
-            for &(i, value) in &k.beside {
-                let (a, b) = (&rows[at - i..][..BLOCK], &rows[at + i..][..BLOCK]);
-                for x in 0..BLOCK {
-                    acc[x] = E::of(E::of(a[x], b[x]) + value, acc[x]);
+        let len = best.len() + 2 * kernel.reach;
+        for k in &kernel.rows {
+            let above = part_of(image, left, start.1 + k.j as isize, len);
+            let below = part_of(image, left, start.1 - k.j as isize, len);
+            let Some((at, row)) = above.or(below) else { continue };
+            let rows: &[f32] = match (above, below) {
+                (Some((_, a)), Some(_)) if k.j == 0 && a.len() == len => a,
+                (Some((_, a)), Some((_, b))) if a.len() == len => {
+                    rows.clear();
+                    rows.extend(a.iter().zip(b).map(|(a, b)| E::of(*a, *b)));
+                    rows
+                }
+                _ => {
+                    rows.clear();
+                    rows.resize(at, E::NONE);
+                    rows.extend_from_slice(row);
+                    rows.resize(len, E::NONE);
+                    if let (Some(_), Some((at, row))) = (above, below) {
+                        for (r, h) in rows[at..].iter_mut().zip(row) {
+                            *r = E::of(*r, *h);
+                        }
+                    }
+                    rows
+                }
+            };
+            if let Some((half, value)) = k.flat {
+                running.clear();
+                running.extend_from_slice(&rows[kernel.reach - half..]);
+                running_extreme::<E>(running, room, 1, 2 * half + 1);
+                for (b, r) in best.iter_mut().zip(running.iter()) {
+                    *b = E::of(r + value, *b);
                 }
             }
-            block.copy_from_slice(&acc);
+            for (c, block) in best.chunks_exact_mut(BLOCK).enumerate() {
+                beside::<E>(block, &rows[c * BLOCK..], kernel.reach, &k.beside);
+            }
+        }
+        out.copy_from_slice(&best[..out.len()]);
+    }
+}
+
+/// Takes what lies ±i cells from a block into it; `rows` starts `reach` cells before the block.
+#[inline(always)]
+fn beside<E: Extreme>(block: &mut [f32], rows: &[f32], reach: usize, cells: &[(usize, f32)]) {
+    let mut acc = [E::NONE; BLOCK];
+    acc.copy_from_slice(block);
+    for &(i, value) in cells {
+        let (a, b) = (&rows[reach - i..][..BLOCK], &rows[reach + i..][..BLOCK]);
+        for x in 0..BLOCK {
+            acc[x] = E::of(E::of(a[x], b[x]) + value, acc[x]);
         }
     }
-    out.copy_from_slice(&best[..out.len()]);
+    block.copy_from_slice(&acc);
 }
 
-/// Takes the image's row `j` from column `left` into `rows`; says whether there was any.
-fn merge<E: Extreme>(image: &Image, left: isize, j: isize, rows: &mut [f32]) -> bool {
+/// Of `len` cells of the image's row `j` from column `left` those that there are, and where they
+/// start.
+#[inline(always)]
+fn part_of<'a>(image: &Image<'a>, left: isize, j: isize, len: usize) -> Option<(usize, &'a [f32])> {
     let height = image.cells.len().checked_div(image.width).unwrap_or(0) as isize;
     if j < 0 || j >= height {
-        return false;
+        return None;
     }
-    let len = rows.len() as isize;
-    let from = (-left).clamp(0, len);
-    let to = (image.width as isize - left).clamp(from, len);
+    let from = (-left).clamp(0, len as isize);
+    let to = (image.width as isize - left).clamp(from, len as isize);
     let source = (j * image.width as isize + left + from) as usize;
-    let n = (to - from) as usize;
-    if n == 0 {
-        return false;
-    }
-    for (r, h) in rows[from as usize..to as usize].iter_mut().zip(&image.cells[source..][..n]) {
-        *r = E::of(*r, *h);
-    }
-    true
+    (from < to).then(|| (from as usize, &image.cells[source..][..(to - from) as usize]))
 }
 
-/// cells(x) becomes the extreme of cells(x .. x + length), by doubling; the last ones of the
-/// array stand for shorter runs.
-fn running_extreme<E: Extreme>(cells: &mut [f32], length: usize) {
+/// Every cell becomes the extreme of `length` cells from it on, `stride` apart, by doubling; the last
+/// ones of the array stand for shorter runs. `room` is scratch.
+#[inline(always)]
+pub fn running_extreme<E: Extreme>(
+    cells: &mut Vec<f32>,
+    room: &mut Vec<f32>,
+    stride: usize,
+    length: usize,
+) {
     let mut covered = 1;
     while covered < length {
         let step = covered.min(length - covered);
-        for x in 0..cells.len().saturating_sub(step) {
-            cells[x] = E::of(cells[x], cells[x + step]);
+        let far = cells.get(step * stride..).unwrap_or_default();
+        room.resize(cells.len(), E::NONE);
+        for ((r, near), far) in room.iter_mut().zip(cells.iter()).zip(far) {
+            *r = E::of(*near, *far);
         }
+        let n = far.len();
+        room[n..].copy_from_slice(&cells[n..]);
+        std::mem::swap(cells, room);
         covered += step;
     }
 }

@@ -19,10 +19,7 @@ impl DepthMap {
     /// centre of a voxel of the set the map was made for; of any other point the answer is no.
     #[inline]
     pub fn reaches(&self, p: DVec3) -> bool {
-        match self.lattice.cell(self.plane.across(p)) {
-            Some(c) => self.plane.height(p) as f32 >= self.lowest[c] + ROUNDING_MM,
-            None => false,
-        }
+        self.reaches_at(self.place(p))
     }
 
     /// The cells' values and their numbers along u and v.
@@ -32,29 +29,19 @@ impl DepthMap {
 
     /// (u, v) of a point in cells and its height in mm.
     pub(super) fn place(&self, p: DVec3) -> DVec3 {
-        let at = (self.plane.across(p) - self.lattice.first) * self.lattice.per_mm;
-        at.extend(self.plane.height(p))
+        self.lattice.place(self.plane.across(p)).extend(self.plane.height(p))
     }
 
     /// What a step of `mm` along x, y, z adds to [`DepthMap::place`].
     pub(super) fn steps(&self, mm: f64) -> [DVec3; 3] {
-        let scale = mm * self.lattice.per_mm;
-        let (u, v, d) = (self.plane.u * scale, self.plane.v * scale, self.plane.d * mm);
-        [0, 1, 2].map(|a| DVec3::new(u[a], v[a], d[a]))
+        self.lattice.steps(&self.plane, mm)
     }
 
     /// [`DepthMap::reaches`] of a [`DepthMap::place`].
-    #[inline]
+    #[inline(always)]
     pub(super) fn reaches_at(&self, at: DVec3) -> bool {
-        // Truncation is the floor of what is not negative; 32 bits convert in one instruction.
-        let (u, v) = (at.x + 0.5, at.y + 0.5);
-        u >= 0.0
-            && v >= 0.0
-            && u < self.lattice.nu as f64
-            && self
-                .lowest
-                .get(u as i32 as usize + self.lattice.nu * (v as i32 as usize))
-                .is_some_and(|low| at.z as f32 >= *low + ROUNDING_MM)
+        let cell = self.lattice.cell_at(at.truncate()).and_then(|c| self.lowest.get(c));
+        cell.is_some_and(|low| at.z as f32 >= *low + ROUNDING_MM)
     }
 }
 
@@ -66,7 +53,7 @@ fn corners(b: &Aabb) -> [DVec3; 8] {
     })
 }
 
-/// A window of the tip lattice of a direction.
+/// A window of the tip lattice of a direction, or of one whose cells are squares of its cells.
 #[derive(Clone, Copy)]
 pub(super) struct Lattice {
     pub spacing: f64,
@@ -76,6 +63,17 @@ pub(super) struct Lattice {
     pub first: DVec2,
     pub nu: usize,
     pub nv: usize,
+    /// Cells of the tip lattice along each axis of a cell.
+    pub pool: usize,
+    /// Number of cell (0, 0), counted from the cell that holds the frame's anchor.
+    number: [i64; 2],
+}
+
+/// The nearest integer of a number below 2³¹, by the rounding of an addition.
+#[inline(always)]
+fn nearest(x: f64) -> i32 {
+    const ONE_AND_A_HALF_TIMES_2_TO_52: f64 = 6_755_399_441_055_744.0;
+    (x + ONE_AND_A_HALF_TIMES_2_TO_52).to_bits() as i32
 }
 
 impl Lattice {
@@ -94,32 +92,65 @@ impl Lattice {
         for uv in corners(b).map(|c| plane.across(c)) {
             (lo, hi) = (lo.min(uv), hi.max(uv));
         }
-        let spacing = spacing * pool as f64;
+        let cells = pool as f64;
         let first = ((lo - anchor - DVec2::splat(margin)) / spacing).floor();
         let last = ((hi - anchor + DVec2::splat(margin)) / spacing).ceil();
+        let (first, last) = ((first / cells).floor(), (last / cells).floor());
         let n = last - first + DVec2::ONE;
+        // A cell's centre is that of its tips.
+        let middle = DVec2::splat((cells - 1.0) / 2.0);
         Lattice {
-            spacing,
-            per_mm: 1.0 / spacing,
-            first: anchor + first * spacing,
+            spacing: spacing * cells,
+            per_mm: 1.0 / (spacing * cells),
+            first: anchor + (first * cells + middle) * spacing,
             nu: n.x as usize,
             nv: n.y as usize,
+            pool,
+            number: [first.x as i64, first.y as i64],
         }
+    }
+
+    /// (u, v) of a point, mm, in cells.
+    pub fn place(&self, uv: DVec2) -> DVec2 {
+        (uv - self.first) * self.per_mm
+    }
+
+    /// What a step of `mm` along x, y, z adds to the place of a point (cells) and its height (mm).
+    pub fn steps(&self, plane: &ImagePlane, mm: f64) -> [DVec3; 3] {
+        let scale = mm * self.per_mm;
+        let (u, v, d) = (plane.u * scale, plane.v * scale, plane.d * mm);
+        [0, 1, 2].map(|a| DVec3::new(u[a], v[a], d[a]))
     }
 
     /// The cell nearest to (u, v).
     #[inline]
     pub fn cell(&self, uv: DVec2) -> Option<usize> {
-        let at = (uv - self.first) * self.per_mm + DVec2::splat(0.5);
-        // Truncation is the floor of what is not negative.
-        let inside = at.x >= 0.0 && at.y >= 0.0 && at.x < self.nu as f64 && at.y < self.nv as f64;
-        inside.then(|| at.x as i32 as usize + self.nu * (at.y as i32 as usize))
+        self.cell_at(self.place(uv))
     }
 
-    /// How far cell (0, 0) of `other`, of the same spacing and phase, lies from this one's.
+    /// The cell nearest to a [`Lattice::place`].
+    #[inline(always)]
+    pub fn cell_at(&self, at: DVec2) -> Option<usize> {
+        let [i, j] = [nearest(at.x), nearest(at.y)].map(|n| n as u32 as usize);
+        (i < self.nu && j < self.nv).then(|| i + self.nu * j)
+    }
+
+    /// How far cell (0, 0) of `other`, of cells of the same size, lies from this one's.
     pub fn offset_of(&self, other: &Lattice) -> (isize, isize) {
-        let shift = ((other.first - self.first) / self.spacing).round();
-        (shift.x as isize, shift.y as isize)
+        let by = |a: usize| (other.number[a] - self.number[a]) as isize;
+        (by(0), by(1))
+    }
+
+    /// For each column and each row of a lattice of smaller cells the one of this lattice in which
+    /// it lies.
+    pub fn pooled(&self, fine: &Lattice) -> [Vec<usize>; 2] {
+        let ratio = (self.pool / fine.pool) as i64;
+        let of = |axis: usize, n: usize| {
+            let first = fine.number[axis];
+            let cell = |i: i64| ((first + i).div_euclid(ratio) - self.number[axis]) as usize;
+            (0..n as i64).map(cell).collect()
+        };
+        [of(0, fine.nu), of(1, fine.nv)]
     }
 
     /// Per row of cells, those that the shadow of a box falls on, with a cell to spare.

@@ -24,6 +24,7 @@ mod columns;
 mod depend;
 mod depth;
 mod filter;
+mod image;
 mod lattice;
 mod mesh_tool;
 mod open;
@@ -34,6 +35,7 @@ mod support;
 mod survey;
 #[cfg(test)]
 mod tests;
+mod tilted;
 mod voxel_tool;
 
 pub use additive::{CarrierTable, supported};
@@ -48,4 +50,5 @@ pub use scene::Scene;
 pub use subtractive::{Cut, over_cut};
 pub use support::{Overhang, grounded, self_supported, supported_access, supporting};
 pub use survey::{AnyTool, Damage, Reach, Survey, damage, reached, survey};
+pub use tilted::support_along;
 pub use voxel_tool::{NoVoxelTool, VoxelTool};

@@ -1,32 +1,35 @@
 //! The accessible region of the whole grid along any direction, by the depth engine.
 //!
 //! Method: G of the depth engine for every cell under the grid, then the voxels that stand no lower
-//! than it. Blocks of voxels that lie wholly above or below the G of all cells they could fall in
-//! are taken or left as a whole; least and largest G of tiles of cells tell.
+//! than it. Cubes of voxels that lie wholly above or below the G of all cells they could fall in
+//! are taken or left as a whole, 64 of their voxels at a time; least and largest G of the cells
+//! under a cube are looked up ([`Bounds`]).
 //!
 //! Guarantees: the voxels outside the obstacle that [`DepthMap::reaches`] accepts.
 
 use super::Scene;
 use super::depth::{cutter_map_of_grid, nozzle_map_of_grid};
+use super::filter::{Extreme, Largest, Least, running_extreme};
 use super::lattice::DepthMap;
-use crate::base::{DVec2, DVec3, Direction};
+use crate::base::{DVec3, Direction};
 use crate::machine::{Tool, ToolKind};
 use crate::voxel::{BitGrid, Frame};
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// Voxels of a block along each axis: a byte of a row.
 const BLOCK: usize = 8;
 
 /// Voxels along each axis of the parts that a block is split into when it is neither wholly above
-/// nor wholly below.
-const PART: usize = BLOCK / 2;
+/// nor wholly below, and of those that these are split into.
+const PARTS: [usize; 2] = [BLOCK / 2, BLOCK / 4];
 
-/// Cells of a tile along each axis, for blocks and for their parts: about a third of what either
-/// spans. Larger tiles tell less, smaller ones take longer to look through.
-const TILES: [usize; 2] = [8, 4];
+/// Cells of a tile along each axis, for blocks, for parts and for parts of these. Larger tiles tell
+/// less, smaller ones take longer to make.
+const TILES: [usize; 3] = [8, 4, 2];
 
-/// Margin in mm of the verdict on a block: far above the rounding of f32 heights, far below a voxel.
-const MARGIN_MM: f64 = 1e-3;
+/// Margin in mm of the verdict on a cube: far above the rounding of f32 heights, far below a voxel.
+const MARGIN_MM: f32 = 1e-3;
 
 /// A(O, T, K) − O along `direction`, for the voxels of the grid of `obstacle`, whose boundary and
 /// fixed points `scene` holds. A nozzle's tip stands at the voxel itself.
@@ -40,215 +43,339 @@ pub fn reached_along(
         ToolKind::Subtractive => cutter_map_of_grid(scene, tool, direction),
         ToolKind::Additive => nozzle_map_of_grid(scene, tool, direction),
     };
-    let test = |_: [usize; 3], at: DVec3| map.reaches_at(at);
-    voxels(&map, obstacle, false, &scene.frame, test)
+    voxels(&map, obstacle, false, &scene.frame)
 }
 
 /// The voxels of `candidates` that a map reaches.
 pub fn reachable(map: &DepthMap, candidates: &BitGrid, frame: &Frame) -> BitGrid {
-    voxels(map, candidates, true, frame, |v, _| map.reaches(frame.center(v)))
+    voxels(map, candidates, true, frame)
 }
 
-/// Least and largest value of each tile of cells.
-struct Tiles {
-    tile: usize,
-    cells: [usize; 2],
-    n: [usize; 2],
-    range: Vec<(f32, f32)>,
-}
-
-impl Tiles {
-    fn of(map: &DepthMap, tile: usize) -> Tiles {
-        let (cells, nu, nv) = map.cells();
-        let n = [nu.div_ceil(tile), nv.div_ceil(tile)];
-        let mut range = vec![(f32::INFINITY, f32::NEG_INFINITY); n[0] * n[1]];
-        for (j, row) in cells.chunks(nu.max(1)).enumerate() {
-            let tiles = &mut range[j / tile * n[0]..][..n[0]];
-            for (tile, run) in tiles.iter_mut().zip(row.chunks(tile)) {
-                for g in run {
-                    tile.0 = if *g < tile.0 { *g } else { tile.0 };
-                    tile.1 = if *g > tile.1 { *g } else { tile.1 };
-                }
-            }
-        }
-        Tiles { tile, cells: [nu, nv], n, range }
-    }
-
-    /// Least and largest value over cells lo ..= hi; no largest where some lie outside the map.
-    fn over(&self, lo: DVec2, hi: DVec2) -> (f64, f64) {
-        let tile = |c: f64, a: usize| ((c.max(0.0) as usize) / self.tile).min(self.n[a] - 1);
-        let beyond = DVec2::new((self.cells[0] - 1) as f64, (self.cells[1] - 1) as f64);
-        let outside = lo.min_element() < 0.0 || hi.cmpgt(beyond).any();
-        let (mut least, mut most) =
-            (f32::INFINITY, if outside { f32::INFINITY } else { f32::NEG_INFINITY });
-        for j in tile(lo.y, 1)..=tile(hi.y, 1) {
-            for t in &self.range[j * self.n[0]..][tile(lo.x, 0)..=tile(hi.x, 0)] {
-                least = least.min(t.0);
-                most = most.max(t.1);
-            }
-        }
-        (f64::from(least), f64::from(most))
-    }
-}
-
-/// The voxels of `set`, or those outside it, that pass: by blocks where a map tells, else singly.
-/// The test is given the voxel and its [`DepthMap::place`].
-fn voxels(
-    map: &DepthMap,
-    set: &BitGrid,
-    inside: bool,
-    frame: &Frame,
-    test: impl Fn([usize; 3], DVec3) -> bool + Sync,
-) -> BitGrid {
+/// The voxels of `set`, or those outside it, that a map reaches.
+fn voxels(map: &DepthMap, set: &BitGrid, inside: bool, frame: &Frame) -> BitGrid {
     let mut out = BitGrid::new(frame.dims);
-    let [nx, ny, nz] = frame.dims;
     if frame.dims.contains(&0) {
         return out;
     }
-    let tiles = TILES.map(|tile| Tiles::of(map, tile));
     let steps = map.steps(frame.pitch);
-    let words = out.words_per_row();
-    let [block, part] = [BLOCK, PART].map(|n| Reach::of(&steps, n));
-    out.par_slabs_mut(BLOCK).for_each(|(z0, slab)| {
-        let deep = BLOCK.min(nz - z0);
-        for y0 in (0..ny).step_by(BLOCK) {
-            let wide = BLOCK.min(ny - y0);
-            for x0 in (0..nx).step_by(BLOCK) {
-                let asked = bits_of(set, inside, [x0, y0, z0], [wide, deep]);
-                if asked.iter().all(|b| *b == 0) {
-                    continue;
-                }
-                let at = map.place(frame.center([x0, y0, z0]));
-                let whole = block.verdict(&tiles[0], at);
-                if whole == Verdict::None {
-                    continue;
-                }
-                let mut bits = asked;
-                if whole == Verdict::Mixed {
-                    let tell = |p| part.verdict(&tiles[1], p);
-                    sift(&mut bits, [wide, deep], at, &steps, tell, |bits, j, k, p| {
-                        passing(bits, [x0, y0 + j, z0 + k], p, steps[0], &test)
-                    });
-                }
-                for k in 0..deep {
-                    for j in 0..wide {
-                        let word = &mut slab[(k * ny + y0 + j) * words + x0 / 64];
-                        *word |= u64::from(bits[j + BLOCK * k]) << (x0 % 64);
-                    }
-                }
-            }
-        }
+    let arch = Arch::new();
+    let [blocks, parts, small] = arch.dispatch(MakeBounds { map, steps: &steps });
+    let flip = if inside { 0 } else { !0 };
+    let sieve = Sieve { map, frame, set, flip, steps, blocks, parts, small };
+    out.par_slabs_mut(BLOCK).for_each(|(z, slab)| {
+        arch.dispatch(SiftSlab { sieve: &sieve, z, slab });
     });
     out
 }
 
-/// Keeps the voxels of a mixed block that pass: by its parts where they tell, else row by row.
-/// `size` is the block's rows along y and z, `at` the place of its first voxel.
-fn sift(
-    bits: &mut [u8; BLOCK * BLOCK],
-    size: [usize; 2],
-    at: DVec3,
-    steps: &[DVec3; 3],
-    tell: impl Fn(DVec3) -> Verdict,
-    passing: impl Fn(u8, usize, usize, DVec3) -> u8,
-) {
-    let place = |j: usize, k: usize| at + steps[1] * j as f64 + steps[2] * k as f64;
-    for z in (0..size[1]).step_by(PART) {
-        for y in (0..size[0]).step_by(PART) {
-            let p = place(y, z);
-            let halves = [tell(p), tell(p + steps[0] * PART as f64)];
-            let of = |v| {
-                let low = if halves[0] == v { 0x0F } else { 0 };
-                if halves[1] == v { low | 0xF0 } else { low }
-            };
-            let (all, mixed): (u8, u8) = (of(Verdict::All), of(Verdict::Mixed));
-            for k in z..(z + PART).min(size[1]) {
-                for j in y..(y + PART).min(size[0]) {
-                    let row = &mut bits[j + BLOCK * k];
-                    let asked = *row & mixed;
-                    *row &= all;
-                    if asked != 0 {
-                        *row |= passing(asked, j, k, place(j, k));
-                    }
-                }
+/// Makes the bounds, by the widest registers there are.
+struct MakeBounds<'a> {
+    map: &'a DepthMap,
+    steps: &'a [DVec3; 3],
+}
+
+impl NullaryFnOnce for MakeBounds<'_> {
+    type Output = [Bounds; 3];
+
+    #[inline(always)]
+    fn call(self) -> [Bounds; 3] {
+        Bounds::of(self.map, self.steps)
+    }
+}
+
+/// Fills the slab that starts at slice `z`, by the widest registers there are.
+struct SiftSlab<'a> {
+    sieve: &'a Sieve<'a>,
+    z: usize,
+    slab: &'a mut [u64],
+}
+
+impl NullaryFnOnce for SiftSlab<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let SiftSlab { sieve, z, slab } = self;
+        for y in (0..sieve.frame.dims[1]).step_by(BLOCK) {
+            for w in 0..sieve.set.words_per_row() {
+                sieve.column(slab, [w, y, z]);
             }
         }
     }
 }
 
-/// What the tiles tell of a cube of voxels.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Verdict {
-    None,
-    All,
-    Mixed,
+/// What tells the voxels apart.
+struct Sieve<'a> {
+    map: &'a DepthMap,
+    frame: &'a Frame,
+    set: &'a BitGrid,
+    /// All ones when the voxels outside the set are asked for.
+    flip: u64,
+    steps: [DVec3; 3],
+    blocks: Bounds,
+    parts: Bounds,
+    /// Of parts of parts.
+    small: Bounds,
 }
 
-/// From the first voxel of a cube to the lowest and highest of its others, in cells and mm.
-struct Reach([(f64, f64); 3]);
+/// Voxels of a word that are taken and those that are to be asked singly.
+#[derive(Clone, Copy, Default)]
+struct Masks {
+    all: u64,
+    mixed: u64,
+}
 
-impl Reach {
-    fn of(steps: &[DVec3; 3], n: usize) -> Reach {
-        let far = (n - 1) as f64;
-        Reach([0, 1, 2].map(|a| {
-            let ends = steps.map(|s| s[a] * far);
+impl Sieve<'_> {
+    /// Eight blocks along x: word `w` of the rows from (y, z) on. `slab` starts at slice z.
+    #[inline(always)]
+    fn column(&self, slab: &mut [u64], [w, y, z]: [usize; 3]) {
+        let [nx, ny, nz] = self.frame.dims;
+        let (wide, deep) = (BLOCK.min(ny - y), BLOCK.min(nz - z));
+        // Voxels past the end of a row are none.
+        let valid = if w * 64 + 64 > nx { self.set.last_word_mask() } else { !0 };
+        let (mut asked, mut any) = ([0; BLOCK * BLOCK], 0);
+        for k in 0..deep {
+            for j in 0..wide {
+                let bits = (self.set.row(y + j, z + k)[w] ^ self.flip) & valid;
+                asked[j + BLOCK * k] = bits;
+                any |= bits;
+            }
+        }
+        if any == 0 {
+            return;
+        }
+        let first = self.map.place(self.frame.center([w * 64, y, z]));
+        let blocks = self.blocks.verdicts(first);
+        // The blocks' bits are bytes of the word.
+        let byte = |set: u8, x: usize| u64::from(set >> x & 1) * (0xFF << (8 * x));
+        let (mut whole, mut masks) = (0, [[Masks::default(); 4]; 4]);
+        for x in (0..8).filter(|x| any >> (8 * x) & 0xFF != 0) {
+            whole |= byte(blocks.all, x);
+            if (blocks.some & !blocks.all) >> x & 1 == 1 {
+                let at = first + self.steps[0] * (x * BLOCK) as f64;
+                self.split(x * BLOCK, at, &mut masks);
+            }
+        }
+        if any & (0..8).map(|x| byte(blocks.some, x)).sum::<u64>() == 0 {
+            return;
+        }
+        let words = self.set.words_per_row();
+        if blocks.some == blocks.all {
+            for k in 0..deep {
+                for j in 0..wide {
+                    slab[(k * ny + y + j) * words + w] = asked[j + BLOCK * k] & whole;
+                }
+            }
+            return;
+        }
+        for k in 0..deep {
+            for j in 0..wide {
+                let (m, asked) = (&masks[j / PARTS[1]][k / PARTS[1]], asked[j + BLOCK * k]);
+                let mut pass = asked & (whole | m.all);
+                if asked & m.mixed != 0 {
+                    let row = first + self.steps[1] * j as f64 + self.steps[2] * k as f64;
+                    pass |= self.singly(asked & m.mixed, row);
+                }
+                slab[(k * ny + y + j) * words + w] = pass;
+            }
+        }
+    }
+
+    /// The parts of a block at bit `x` of a word that stands at `at`, and their parts.
+    #[inline(always)]
+    fn split(&self, x: usize, at: DVec3, masks: &mut [[Masks; 4]; 4]) {
+        let octant = |part: usize| [part & 1, part >> 1 & 1, part >> 2];
+        let told = self.parts.verdicts(at);
+        for part in (0..8).filter(|p| told.some >> p & 1 == 1) {
+            let [i, j, k] = octant(part);
+            let x = x + i * PARTS[0];
+            if told.all >> part & 1 == 1 {
+                for m in masks[2 * j..2 * j + 2].iter_mut().flat_map(|m| &mut m[2 * k..][..2]) {
+                    m.all |= 0xF << x;
+                }
+                continue;
+            }
+            let by = |a: usize, i: usize| self.steps[a] * (i * PARTS[0]) as f64;
+            let told = self.small.verdicts(at + by(0, i) + by(1, j) + by(2, k));
+            for part in (0..8).filter(|p| told.some >> p & 1 == 1) {
+                let [i, dj, dk] = octant(part);
+                let m = &mut masks[2 * j + dj][2 * k + dk];
+                let bits = 0b11 << (x + i * PARTS[1]);
+                *(if told.all >> part & 1 == 1 { &mut m.all } else { &mut m.mixed }) |= bits;
+            }
+        }
+    }
+
+    /// The voxels of a word that the map reaches; the word's first voxel stands at `first`.
+    #[inline(always)]
+    fn singly(&self, asked: u64, first: DVec3) -> u64 {
+        let (mut rest, mut pass) = (asked, 0);
+        while rest != 0 {
+            let start = rest.trailing_zeros() as usize & !(PARTS[1] - 1);
+            let mut at = first + self.steps[0] * start as f64;
+            for i in start..start + PARTS[1] {
+                pass |= u64::from(self.map.reaches_at(at)) << i;
+                at += self.steps[0];
+            }
+            rest &= !(0b11 << start);
+        }
+        pass & asked
+    }
+}
+
+/// What the bounds tell of eight cubes of voxels, a bit each.
+#[derive(Clone, Copy)]
+struct Told {
+    /// Some of its voxels may be reached.
+    some: u8,
+    /// All of them are.
+    all: u8,
+}
+
+/// Least and largest G under cubes of voxels: over all cells from a tile of cells on that a cube
+/// whose first cell lies in it may span. Eight cubes are looked up together.
+struct Bounds {
+    /// Tiles per cell.
+    per_cell: f32,
+    /// Tiles along u.
+    nu: i32,
+    /// From the place asked for to the first cell of each cube, and to its lowest and highest voxel.
+    first: [[f32; 8]; 2],
+    lowest: [f32; 8],
+    highest: [f32; 8],
+    /// The last first cell of a cube that the map holds all cells of.
+    last: [f32; 2],
+    /// With the margin.
+    range: Vec<(f32, f32)>,
+}
+
+/// What hides the rounding of places, cells: far above that of f32 up to some thousand cells.
+const HAIR: f64 = 2e-3;
+
+impl Bounds {
+    /// Those of blocks along a word, of the parts of a block and of the parts of a part.
+    #[inline(always)]
+    fn of(map: &DepthMap, steps: &[DVec3; 3]) -> [Bounds; 3] {
+        let (cells, nu, nv) = map.cells();
+        let n = [nu, nv];
+        let small = Tiles::of::<{ TILES[2] }>(cells, cells, n);
+        let parts = Tiles::of::<{ TILES[1] / TILES[2] }>(&small.least, &small.largest, small.n);
+        let blocks = Tiles::of::<{ TILES[0] / TILES[1] }>(&parts.least, &parts.largest, parts.n);
+        let row: [[usize; 3]; 8] = std::array::from_fn(|i| [i, 0, 0]);
+        let octants: [[usize; 3]; 8] = std::array::from_fn(|i| [i & 1, i >> 1 & 1, i >> 2]);
+        [
+            Bounds::over(blocks, n, TILES[0], BLOCK, steps, row),
+            Bounds::over(parts, n, TILES[1], PARTS[0], steps, octants),
+            Bounds::over(small, n, TILES[2], PARTS[1], steps, octants),
+        ]
+    }
+
+    /// Those of eight cubes of `voxels` along each axis, on a map of `n` cells; `cubes` are the
+    /// cubes' numbers along x, y, z.
+    #[inline(always)]
+    fn over(
+        tiles: Tiles,
+        n: [usize; 2],
+        tile: usize,
+        voxels: usize,
+        steps: &[DVec3; 3],
+        cubes: [[usize; 3]; 8],
+    ) -> Bounds {
+        // From a cube's first voxel to its lowest and highest ones, in cells and mm.
+        let reach = [0, 1, 2].map(|a| {
+            let ends = steps.map(|s| s[a] * (voxels - 1) as f64);
             let sum = |f: fn(f64, f64) -> f64| ends.iter().map(|e| f(*e, 0.0)).sum::<f64>();
             (sum(f64::min), sum(f64::max))
-        }))
+        });
+        // A cube's first cell may be any of its tile.
+        let spans = [0, 1].map(|a| {
+            let cells = (reach[a].1 - reach[a].0 + 2.0 * HAIR) as usize + 1;
+            cells.div_ceil(tile) + 1
+        });
+        let to = |a: usize, more: f64| {
+            cubes.map(|c| {
+                let cube = (0..3).map(|i| steps[i][a] * (c[i] * voxels) as f64).sum::<f64>();
+                (cube + more) as f32
+            })
+        };
+        // The cell that holds a place is the floor of what lies half a cell further.
+        let last = |a: usize| n[a] as f64 - 1.0 - (reach[a].1 - reach[a].0) - 2.0 * HAIR;
+        Bounds {
+            per_cell: 1.0 / tile as f32,
+            nu: tiles.n[0] as i32,
+            first: [0, 1].map(|a| to(a, reach[a].0 + 0.5 - HAIR)),
+            lowest: to(2, reach[2].0),
+            highest: to(2, reach[2].1),
+            last: [last(0) as f32, last(1) as f32],
+            range: tiles.widened(spans),
+        }
     }
 
-    fn verdict(&self, tiles: &Tiles, at: DVec3) -> Verdict {
-        let [u, v, z] = self.0;
-        let lo = DVec2::new(at.x + u.0, at.y + v.0) - DVec2::splat(1.0);
-        let hi = DVec2::new(at.x + u.1, at.y + v.1) + DVec2::splat(1.0);
-        let (least, most) = tiles.over(lo, hi);
-        if at.z + z.1 < least - MARGIN_MM {
-            Verdict::None
-        } else if at.z + z.0 > most + MARGIN_MM {
-            Verdict::All
-        } else {
-            Verdict::Mixed
+    /// What there is to tell of the eight cubes from the place `at` on.
+    #[inline(always)]
+    fn verdicts(&self, at: DVec3) -> Told {
+        let (u, v, z) = (at.x as f32, at.y as f32, at.z as f32);
+        let (mut tile, mut known) = ([0; 8], [false; 8]);
+        for c in 0..8 {
+            let (u, v) = (u + self.first[0][c], v + self.first[1][c]);
+            known[c] = u >= 0.0 && v >= 0.0 && u <= self.last[0] && v <= self.last[1];
+            tile[c] = (u * self.per_cell) as i32 + self.nu * (v * self.per_cell) as i32;
         }
+        let mut told = Told { some: 0, all: 0 };
+        for c in 0..8 {
+            let range = self.range.get(tile[c] as usize).filter(|_| known[c]);
+            let (least, most) = range.copied().unwrap_or((f32::NEG_INFINITY, f32::INFINITY));
+            told.some |= u8::from(z + self.highest[c] >= least) << c;
+            told.all |= u8::from(z + self.lowest[c] > most) << c;
+        }
+        told
     }
 }
 
-/// The voxels of a block inside or outside a set, a byte a row; `size` rows along y and z.
-fn bits_of(
-    grid: &BitGrid,
-    inside: bool,
-    [x, y, z]: [usize; 3],
-    size: [usize; 2],
-) -> [u8; BLOCK * BLOCK] {
-    let mut bits = [0; BLOCK * BLOCK];
-    // Voxels past the end of a row are none.
-    let mask = 0xFFu8 >> (BLOCK - (grid.dims()[0] - x).min(BLOCK));
-    let flip = if inside { 0 } else { !0 };
-    for k in 0..size[1] {
-        for j in 0..size[0] {
-            let word = grid.row(y + j, z + k)[x / 64];
-            bits[j + BLOCK * k] = (((word >> (x % 64)) as u8) ^ flip) & mask;
-        }
-    }
-    bits
+/// Extremes of square tiles of cells.
+struct Tiles {
+    /// Tiles along u and v.
+    n: [usize; 2],
+    least: Vec<f32>,
+    largest: Vec<f32>,
 }
 
-/// Those of the next voxels along x that pass.
-#[inline]
-fn passing(
-    bits: u8,
-    v: [usize; 3],
-    mut p: DVec3,
-    step: DVec3,
-    test: &impl Fn([usize; 3], DVec3) -> bool,
-) -> u8 {
-    let mut pass = 0;
-    for i in 0..BLOCK {
-        if bits >> i & 1 == 1 {
-            pass |= u8::from(test([v[0] + i, v[1], v[2]], p)) << i;
+impl Tiles {
+    /// Of tiles of TILE cells along each axis; the cells are given by their own extremes.
+    #[inline(always)]
+    fn of<const TILE: usize>(least: &[f32], largest: &[f32], [nu, nv]: [usize; 2]) -> Tiles {
+        let (width, n) = (nu.max(1), [nu.div_ceil(TILE), nv.div_ceil(TILE)]);
+        let mut across = [vec![0.0; n[0] * TILE], vec![0.0; n[0] * TILE]];
+        let [mut low, mut high] =
+            [Vec::with_capacity(n[0] * n[1]), Vec::with_capacity(n[0] * n[1])];
+        for (least, largest) in least.chunks(width * TILE).zip(largest.chunks(width * TILE)) {
+            let [lows, highs] = &mut across;
+            lows.fill(Least::NONE);
+            highs.fill(Largest::NONE);
+            for (least, largest) in least.chunks(width).zip(largest.chunks(width)) {
+                lows.iter_mut().zip(least).for_each(|(a, c)| *a = Least::of(*a, *c));
+                highs.iter_mut().zip(largest).for_each(|(a, c)| *a = Largest::of(*a, *c));
+            }
+            let least = |t: &[f32]| t.iter().fold(Least::NONE, |a, c| Least::of(a, *c));
+            let largest = |t: &[f32]| t.iter().fold(Largest::NONE, |a, c| Largest::of(a, *c));
+            low.extend(lows.chunks_exact(TILE).map(least));
+            high.extend(highs.chunks_exact(TILE).map(largest));
         }
-        p += step;
+        Tiles { n, least: low, largest: high }
     }
-    pass
+
+    /// Of each the extremes of those from it on, `spans` of them along either axis.
+    #[inline(always)]
+    fn widened(mut self, spans: [usize; 2]) -> Vec<(f32, f32)> {
+        let room = &mut Vec::new();
+        // What runs on from a row's end into the next only widens the range there.
+        for (stride, span) in [(1, spans[0]), (self.n[0], spans[1])] {
+            running_extreme::<Least>(&mut self.least, room, stride, span);
+            running_extreme::<Largest>(&mut self.largest, room, stride, span);
+        }
+        let range = self.least.iter().zip(&self.largest);
+        range.map(|(least, most)| (least - MARGIN_MM, most + MARGIN_MM)).collect()
+    }
 }
 
 #[cfg(test)]

@@ -5,40 +5,46 @@ use crate::voxel::{BitGrid, Frame};
 /// its holding. Inner voxels are covered by the boundary, since a tool goes up without end.
 pub struct Scene {
     pub frame: Frame,
-    points: Vec<DVec3>,
+    voxels: BitGrid,
+    fixed: Vec<DVec3>,
 }
 
 impl Scene {
     pub fn new(frame: &Frame, state: &BitGrid, fixed: &[DVec3]) -> Scene {
-        let mut points: Vec<DVec3> =
-            state.boundary().iter_ones().map(|v| frame.center(v)).collect();
-        points.extend_from_slice(fixed);
-        Scene { frame: *frame, points }
+        Scene { frame: *frame, voxels: state.boundary(), fixed: fixed.to_vec() }
     }
 
     /// The obstacles as a tool along +z meets them: of each column of voxels only the highest.
     pub fn from_above(frame: &Frame, state: &BitGrid, fixed: &[DVec3]) -> Scene {
-        let mut points = fixed.to_vec();
+        let mut voxels = BitGrid::new(state.dims());
         let [_, ny, nz] = state.dims();
         let mut open = vec![!0u64; state.words_per_row()];
         for y in 0..ny {
             open.fill(!0);
             for z in (0..nz).rev() {
-                for (w, (open, bits)) in open.iter_mut().zip(state.row(y, z)).enumerate() {
-                    let mut new = bits & *open;
+                let tops = voxels.row_mut(y, z).iter_mut().zip(&mut open);
+                for ((top, open), bits) in tops.zip(state.row(y, z)) {
+                    *top = bits & *open;
                     *open &= !bits;
-                    while new != 0 {
-                        let x = w * 64 + new.trailing_zeros() as usize;
-                        points.push(frame.center([x, y, z]));
-                        new &= new - 1;
-                    }
                 }
             }
         }
-        Scene { frame: *frame, points }
+        Scene { frame: *frame, voxels, fixed: fixed.to_vec() }
     }
 
-    pub fn points(&self) -> &[DVec3] {
-        &self.points
+    /// The voxels whose centres are obstacle points.
+    pub fn voxels(&self) -> &BitGrid {
+        &self.voxels
+    }
+
+    /// The obstacle points that are no voxels' centres, mm.
+    pub fn fixed(&self) -> &[DVec3] {
+        &self.fixed
+    }
+
+    /// All obstacle points, mm.
+    pub fn points(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let centres = self.voxels.iter_ones().map(|v| self.frame.center(v));
+        centres.chain(self.fixed.iter().copied())
     }
 }

@@ -23,9 +23,8 @@ pub struct Analysis<'a> {
     pub best: Direction,
     pub damage: Damage,
     pub build: Direction,
-    /// Voxels that stand by themselves and voxels of support, where the build direction is a grid
-    /// axis.
-    pub columns: Option<(usize, usize)>,
+    /// Voxels that stand by themselves along the build direction, and voxels of support.
+    pub support: (usize, usize),
 }
 
 /// The summary, and `analysis.json`.
@@ -48,8 +47,8 @@ pub struct Record {
     collateral_pitch_mm: f64,
     build_direction: Direction,
     overhanging_surface_mm2: f64,
-    self_supported_mm3: Option<f64>,
-    support_mm3: Option<f64>,
+    self_supported_mm3: f64,
+    support_mm3: f64,
     directions: Vec<DirectionRecord>,
     seconds: f64,
 }
@@ -86,8 +85,8 @@ impl Analysis<'_> {
             collateral_pitch_mm: self.damage.pitch,
             build_direction: self.build,
             overhanging_surface_mm2: self.paint.overhanging,
-            self_supported_mm3: self.columns.map(|(stands, _)| mm3(stands)),
-            support_mm3: self.columns.map(|(_, support)| mm3(support)),
+            self_supported_mm3: mm3(self.support.0),
+            support_mm3: mm3(self.support.1),
             directions: directions
                 .map(|(r, area)| DirectionRecord {
                     direction: r.direction,
@@ -158,9 +157,8 @@ pub fn table(r: &Record) -> String {
     );
     let overhanging = cm2(r.overhanging_surface_mm2);
     row("overhanging", format!("{overhanging} when built along {}", shown(r.build_direction)));
-    if let (Some(stands), Some(support)) = (r.self_supported_mm3, r.support_mm3) {
-        row("support", format!("{} stands by itself, {} of support", cm3(stands), cm3(support)));
-    }
+    let (stands, support) = (cm3(r.self_supported_mm3), cm3(r.support_mm3));
+    row("support", format!("{stands} stands by itself, {support} of support"));
     let mut best: Vec<&DirectionRecord> = r.directions.iter().collect();
     best.sort_by(|a, b| b.surface_mm2.total_cmp(&a.surface_mm2));
     for d in best.iter().take(SHOWN) {

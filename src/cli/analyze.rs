@@ -11,7 +11,6 @@ use hmplan::access::{self, AnyTool, MeshTool, Overhang};
 use hmplan::base::{Ctx, DAffine3, DVec3, Direction, fibonacci_sphere};
 use hmplan::machine::{Machine, Tool};
 use hmplan::mesh;
-use hmplan::morph::Axis;
 use hmplan::voxel::{BitGrid, Frame, surface};
 use std::path::Path;
 use std::time::Instant;
@@ -168,13 +167,7 @@ fn analyse<'a>(
     let damage = access::damage(frame, solid, &tool.tool, best, ctx).map_err(stopped)?;
     // Parts are printed along the direction asked for, and along z where there are many.
     let build = if directions.len() == 1 { directions[0] } else { Direction::Z };
-    let columns = Axis::of(build).map(|up| {
-        // The part stands on its own lowest layer.
-        let plate = up.up(solid).extent().map_or(0, |(lo, _)| lo[2]);
-        let stands = access::self_supported(solid, up, plate, overhang);
-        let whole = access::supporting(solid, up, plate, overhang);
-        (stands.count(), whole.count() - solid.count())
-    });
+    let support = access::support_along(solid, frame, build, overhang);
     ctx.check()?;
     let paint = Paint::of(&surface, &probes, &survey, &damage, solid, frame, build, overhang);
     Ok(Analysis {
@@ -187,7 +180,7 @@ fn analyse<'a>(
         best,
         damage,
         build,
-        columns,
+        support,
     })
 }
 
