@@ -9,7 +9,7 @@
 //! nothing is needy and the rest of the layer goes at once.
 
 use super::bottleneck::Bottleneck;
-use super::detour::{Detour, NEAR_VISITS};
+use super::detour::{Detour, MOST_VISITS, NEAR_VISITS};
 use super::forest::{Demand, Forest, carried};
 use super::ledge;
 use super::workpiece::{Cell, Ways, Workpiece};
@@ -29,6 +29,12 @@ const FEWEST: usize = 3;
 /// down; higher, and ways run deep that could have been short.
 const SHALLOW: u32 = 2;
 const SERVED: u32 = 2;
+
+/// Needy and hanging cells from which on a way sideways is looked for in a window, and half the
+/// window's width in cells. A search costs what it begins from, and a broad underside takes ways by
+/// the hundred; narrower, and ways begin where others would have served more.
+const CROWD: usize = 3_000;
+const WINDOW: i32 = 24;
 
 /// The planner's whole state.
 pub(super) struct Nullifier {
@@ -78,6 +84,27 @@ struct Clusters {
     anchors: Vec<u32>,
 }
 
+/// How many rounds of a layer go by before trees without a limit are looked for again: twice as
+/// many after each time in vain, none after a find. What would help lies deep and rarely changes.
+#[derive(Default)]
+struct Patience {
+    left: usize,
+    wait: usize,
+}
+
+impl Patience {
+    fn is_over(&mut self) -> bool {
+        let over = self.left == 0;
+        self.left = self.left.saturating_sub(1);
+        over
+    }
+
+    fn tried(&mut self, found: bool) {
+        self.wait = if found { 0 } else { 2 * self.wait + 1 };
+        self.left = self.wait;
+    }
+}
+
 impl Nullifier {
     pub fn new(w: Workpiece, minimum_feature: usize, seed: u64) -> Nullifier {
         let b = Bottleneck::new(&w);
@@ -112,6 +139,7 @@ impl Nullifier {
         // Demands that found no tree although the cutter reaches under them: asked again only when
         // nothing else helps, since what would help them lies deep and rarely changes.
         let mut vain: HashSet<Cell> = HashSet::new();
+        let mut patience = Patience::default();
         loop {
             let survey = self.survey(&rest);
             if survey.needy.is_empty() && survey.hanging.is_empty() {
@@ -133,8 +161,9 @@ impl Nullifier {
             if grown.is_empty() {
                 grown = ledge::build(&mut self.w, &mut self.b, &survey.needy);
             }
-            if grown.is_empty() {
+            if grown.is_empty() && patience.is_over() {
                 grown = self.forest.grow(&mut self.w, &mut self.b, &demands, i32::MAX);
+                patience.tried(!grown.is_empty());
             }
             self.record(&grown);
             if grown.is_empty() {
@@ -143,8 +172,7 @@ impl Nullifier {
                     hasty = true;
                     continue;
                 }
-                let sources = self.sources(&survey, &clusters, &demands);
-                let way = self.detour.connect(&mut self.w, &mut self.b, &sources);
+                let way = self.lead(&survey, &clusters, &demands);
                 if way.is_empty() {
                     return Err(Stuck { layer: top, left: rest.len() });
                 }
@@ -205,6 +233,36 @@ impl Nullifier {
             grown.extend(self.forest.grow(&mut self.w, &mut self.b, demands, FIRST));
         }
         grown
+    }
+
+    /// A way from what is needy to the ground, looked for in a window first where much is needy.
+    fn lead(
+        &mut self,
+        survey: &Survey,
+        clusters: &Clusters,
+        demands: &[Demand],
+    ) -> Vec<(Cell, Ways)> {
+        let first = survey.needy.first().or(survey.hanging.first());
+        if let Some(&first) = first.filter(|_| survey.needy.len() + clusters.hanging.len() > CROWD)
+        {
+            let [x, y, _] = self.w.voxel(first);
+            let near = |c: Cell| {
+                let [cx, cy, _] = self.w.voxel(c);
+                (cx - x).abs() <= WINDOW && (cy - y).abs() <= WINDOW
+            };
+            let needy: Vec<Cell> = survey.needy.iter().copied().filter(|c| near(*c)).collect();
+            let hanging: Vec<Cell> =
+                clusters.hanging.iter().copied().filter(|c| near(*c)).collect();
+            let demands: Vec<Demand> = demands.iter().filter(|d| near(d.cell)).copied().collect();
+            let sources = self.sources(&needy, &hanging, &demands);
+            let (w, b) = (&mut self.w, &mut self.b);
+            let way = self.detour.connect_free(w, b, &sources, MOST_VISITS);
+            if !way.is_empty() {
+                return way;
+            }
+        }
+        let sources = self.sources(&survey.needy, &clusters.hanging, demands);
+        self.detour.connect(&mut self.w, &mut self.b, &sources)
     }
 
     fn survey(&self, rest: &[Cell]) -> Survey {
@@ -367,13 +425,13 @@ impl Nullifier {
     /// there: carriers of the needy, cells a tree could lead to, cells beside hanging material.
     fn sources(
         &mut self,
-        survey: &Survey,
-        clusters: &Clusters,
+        needy: &[Cell],
+        hanging: &[Cell],
         demands: &[Demand],
     ) -> Vec<(Cell, u32)> {
         let (w, top) = (&self.w, self.w.top);
-        let under = survey.needy.iter().flat_map(|c| w.carriers(*c));
-        let beside = clusters.hanging.iter().flat_map(|c| w.neighbours(*c));
+        let under = needy.iter().flat_map(|c| w.carriers(*c));
+        let beside = hanging.iter().flat_map(|c| w.neighbours(*c));
         let tree = self.forest.reachable(w, &self.b, demands);
         let cells = under.chain(beside).chain(tree);
         let cells: BTreeSet<Cell> = cells.filter(|c| w.empty(*c) && w.height(*c) < top).collect();
