@@ -33,7 +33,7 @@ const SERVED: u32 = 2;
 /// Needy and hanging cells from which on a way sideways is looked for in a window, and half the
 /// window's width in cells. A search costs what it begins from, and a broad underside takes ways by
 /// the hundred; narrower, and ways begin where others would have served more.
-const CROWD: usize = 3_000;
+const CROWD: usize = 4_000;
 const WINDOW: i32 = 24;
 
 /// The planner's whole state.
@@ -140,6 +140,7 @@ impl Nullifier {
         // nothing else helps, since what would help them lies deep and rarely changes.
         let mut vain: HashSet<Cell> = HashSet::new();
         let mut patience = Patience::default();
+        let mut barren = Vec::new();
         loop {
             let survey = self.survey(&rest);
             if survey.needy.is_empty() && survey.hanging.is_empty() {
@@ -172,7 +173,7 @@ impl Nullifier {
                     hasty = true;
                     continue;
                 }
-                let way = self.lead(&survey, &clusters, &demands);
+                let way = self.lead(&survey, &clusters, &demands, &mut barren);
                 if way.is_empty() {
                     return Err(Stuck { layer: top, left: rest.len() });
                 }
@@ -235,34 +236,40 @@ impl Nullifier {
         grown
     }
 
-    /// A way from what is needy to the ground, looked for in a window first where much is needy.
+    /// A way from what is needy to the ground. Where much is needy it is looked for in windows
+    /// first; those in vain go into `barren` and are left out from then on.
     fn lead(
         &mut self,
         survey: &Survey,
         clusters: &Clusters,
         demands: &[Demand],
+        barren: &mut Vec<Cell>,
     ) -> Vec<(Cell, Ways)> {
-        let first = survey.needy.first().or(survey.hanging.first());
-        if let Some(&first) = first.filter(|_| survey.needy.len() + clusters.hanging.len() > CROWD)
-        {
-            let [x, y, _] = self.w.voxel(first);
-            let near = |c: Cell| {
-                let [cx, cy, _] = self.w.voxel(c);
-                (cx - x).abs() <= WINDOW && (cy - y).abs() <= WINDOW
+        let crowded = survey.needy.len() + clusters.hanging.len() > CROWD;
+        let mut anchors = survey.needy.iter().chain(&survey.hanging).filter(|_| crowded);
+        while let Some(&anchor) = anchors.find(|c| !barren.iter().any(|b| self.near(*b, **c))) {
+            let within = |cells: &[Cell]| -> Vec<Cell> {
+                cells.iter().copied().filter(|c| self.near(anchor, *c)).collect()
             };
-            let needy: Vec<Cell> = survey.needy.iter().copied().filter(|c| near(*c)).collect();
-            let hanging: Vec<Cell> =
-                clusters.hanging.iter().copied().filter(|c| near(*c)).collect();
-            let demands: Vec<Demand> = demands.iter().filter(|d| near(d.cell)).copied().collect();
+            let (needy, hanging) = (within(&survey.needy), within(&clusters.hanging));
+            let demands: Vec<Demand> =
+                demands.iter().filter(|d| self.near(anchor, d.cell)).copied().collect();
             let sources = self.sources(&needy, &hanging, &demands);
             let (w, b) = (&mut self.w, &mut self.b);
             let way = self.detour.connect_free(w, b, &sources, MOST_VISITS);
             if !way.is_empty() {
                 return way;
             }
+            barren.push(anchor);
         }
         let sources = self.sources(&survey.needy, &clusters.hanging, demands);
         self.detour.connect(&mut self.w, &mut self.b, &sources)
+    }
+
+    /// Whether two cells are in one window.
+    fn near(&self, anchor: Cell, cell: Cell) -> bool {
+        let ([x, y, _], [cx, cy, _]) = (self.w.voxel(anchor), self.w.voxel(cell));
+        (cx - x).abs() <= WINDOW && (cy - y).abs() <= WINDOW
     }
 
     fn survey(&self, rest: &[Cell]) -> Survey {
