@@ -307,8 +307,10 @@ fn prepare(
     Ok(Prepared { job, inputs })
 }
 
-/// States written at most; of longer plans every n-th.
+/// States written at most; of longer plans every n-th. All of them together have no more voxels
+/// than this: a surface of millions of triangles for each would fill a disk.
 const MOST_STATES: usize = 200;
+const MOST_STATE_VOXELS: usize = 1 << 29;
 
 /// Writes a file whole: to a sibling first, then renamed.
 fn write_beside(
@@ -335,7 +337,8 @@ fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Res
         ctx.advance(1);
         Ok(())
     };
-    let stride = plan.steps.len().div_ceil(MOST_STATES).max(1);
+    let most = (MOST_STATE_VOXELS / job.frame.voxel_count().max(1)).clamp(1, MOST_STATES);
+    let stride = plan.steps.len().div_ceil(most).max(1);
     let mut state = job.initial.clone();
     for (i, step) in plan.steps.iter().enumerate() {
         let kind = match step.kind {

@@ -20,8 +20,9 @@ use serde::{Deserialize, Serialize};
 /// Name and version of the layout. It changes when a field changes its meaning or goes.
 pub const SCHEMA: &str = "hmplan-plan/1";
 
-/// Bits that all regions of one plan may take together: 4 GiB. A plan of 8 million voxels may have
-/// 4,000 steps; a larger bound would let a few bytes of file claim all memory.
+/// Bits that all regions of one plan may take together, each from its first row to its last: 4 GiB.
+/// A plan of 8 million voxels may have 4,000 steps that span all layers, or 100,000 of some layers
+/// each; a larger bound would let a few bytes of file claim all memory.
 pub const MOST_STATE_BITS: u64 = 1 << 35;
 
 /// Voxels of the largest grid, as [`Frame::around`] makes it.
@@ -373,8 +374,9 @@ impl PlanFile {
         };
         // Rows are padded to whole words, so a thin grid takes more than its voxels.
         let row_bits = dims[0].div_ceil(64) as u64 * 64;
-        let bits = row_bits * (voxels / dims[0]) as u64;
-        if (self.steps.len() as u64).saturating_mul(bits) > MOST_STATE_BITS {
+        let rows = |s: &StepRecord| s.region.span(dims).len() as u64;
+        let bits = self.steps.iter().map(|s| rows(s) * row_bits).fold(0, u64::saturating_add);
+        if bits > MOST_STATE_BITS {
             return Err(FileError::TooLarge { steps: self.steps.len(), voxels });
         }
         Ok(())

@@ -16,7 +16,7 @@ const SHADES: usize = 6;
 const MARK: f64 = 0.8;
 
 /// An SVG element and what it shows.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Drawing {
     pub svg: String,
     /// The side it is seen from: "front left, above".

@@ -58,14 +58,24 @@ fn input(role: &str, input: &Input) -> Value {
     }
 }
 
+/// Steps drawn at most; of longer plans every n-th. All drawings together look at no more voxels
+/// than this, a minute's work.
+const MOST_DRAWN: usize = 200;
+const MOST_DRAWN_VOXELS: usize = 1 << 29;
+
 fn steps(file: &PlanFile, job: &Job, plan: &Plan) -> Vec<Value> {
     let mut state = job.initial.clone();
     let mut rows = Vec::with_capacity(plan.steps.len());
-    for (step, record) in plan.steps.iter().zip(&file.steps) {
+    let most = (MOST_DRAWN_VOXELS / job.frame.voxel_count().max(1)).clamp(1, MOST_DRAWN);
+    let stride = plan.steps.len().div_ceil(most).max(1);
+    for (i, (step, record)) in plan.steps.iter().zip(&file.steps).enumerate() {
         if step.kind == StepKind::Subtractive {
             state.subtract(&step.region);
         }
-        let drawing = draw_step(&job.frame, &state, &step.region, step.kind, step.direction);
+        let drawn = (i + 1) % stride == 0 || i + 1 == plan.steps.len();
+        let drawing = drawn
+            .then(|| draw_step(&job.frame, &state, &step.region, step.kind, step.direction))
+            .unwrap_or_default();
         if step.kind == StepKind::Additive {
             state.union_with(&step.region);
         }

@@ -9,6 +9,7 @@ use super::profile::Profile;
 use super::replay::Site;
 use super::skyline::{Skyline, TipBounds};
 use super::tally::Tally;
+use super::thin::Thin;
 use super::tiplattice::{TipLattice, span, tally_rows};
 use super::{ROUNDING_MM, Rule, RuleResult};
 use crate::base::{Cancelled, Ctx};
@@ -53,6 +54,9 @@ pub(super) fn colliding(
         let reaches_tip = s.shape.lower_surface(0.0) == 0.0;
         (s, if reaches_tip { dip_mm } else { 0.0 })
     }));
+    if let Some(thin) = Thin::of(&profile, site) {
+        return thin.tally(step, site, ctx);
+    }
     if site.direction.is_grid_axis() {
         // The centres of a column share one place of the tip lattice, and its height.
         let lattice = TipLattice::new(site, &profile, span, 0.0, 0.0);

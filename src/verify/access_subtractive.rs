@@ -4,6 +4,7 @@
 use super::profile::Profile;
 use super::replay::Site;
 use super::tally::Tally;
+use super::thin::Thin;
 use super::tiplattice::{Tip, TipLattice, span, tally_rows};
 use super::{ROUNDING_MM, Rule, RuleResult};
 use crate::base::{Cancelled, Ctx, DVec2};
@@ -43,6 +44,12 @@ pub(super) fn unreachable(
     }
     let profile = Profile::new(tool.sections.iter().map(|s| (s, 0.0)));
     let edge = Profile::new(tool.sections.iter().filter(|s| s.active).map(|s| (s, 0.0)));
+    // An edge that ends short of the next tip reaches a voxel from its own column alone, and one
+    // with k(0) = 0 with its tip at the voxel's centre.
+    let single = reach < site.frame.pitch - ROUNDING_MM && edge.at(0.0) == 0.0;
+    if let Some(thin) = Thin::of(&profile, site).filter(|_| single) {
+        return thin.tally(step, site, ctx);
+    }
     // k(ρ) is at most the active length wherever it is finite: no tip lies lower than that.
     let lattice = TipLattice::new(site, &profile, span, reach, tool.active_length());
     let search = Search { lattice, edge, reach, ctx };

@@ -25,10 +25,12 @@ mod profile;
 mod replay;
 mod skyline;
 mod stability;
+mod standing;
 mod support;
 mod tally;
 #[cfg(test)]
 mod tests;
+mod thin;
 mod tiplattice;
 mod verdict;
 
@@ -60,6 +62,7 @@ pub fn verify(job: &Job, plan: Plan, ctx: &Ctx) -> Result<Verdict, Cancelled> {
     }
     ctx.begin("verify", plan.steps.len() as u64);
     let mut replay = Replay::new(job, &plan);
+    let mut watch = stability::Watch::new(job, plan.steps.len());
     for (index, step) in plan.steps.iter().enumerate() {
         ctx.check()?;
         if let Err(fault) = content::region_grid(job, index, step) {
@@ -73,7 +76,7 @@ pub fn verify(job: &Job, plan: Plan, ctx: &Ctx) -> Result<Verdict, Cancelled> {
         if step.kind == StepKind::Additive {
             results.push(support::check(job, index, step, &replay.before));
         }
-        results.push(stability::check(job, index, &replay.after));
+        results.push(watch.check(job, index, step, &replay.after));
         ctx.advance(1);
     }
     let measures = end::measure(job, &replay);
@@ -93,11 +96,11 @@ fn tool_access(
     let Ok(tool) = machine_limits::tool_of(job, step) else { return Ok(None) };
     Ok(Some(match tool.kind {
         ToolKind::Subtractive => {
-            let site = replay.site(job, step, &replay.after);
+            let site = replay.site(job, step);
             access_subtractive::result(index, step, tool, &site, ctx)?
         }
         ToolKind::Additive => {
-            let site = replay.site(job, step, &replay.before);
+            let site = replay.site(job, step);
             access_additive::result(index, step, tool, job.rules.nozzle_dip_mm, &site, ctx)?
         }
     }))

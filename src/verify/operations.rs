@@ -1,12 +1,10 @@
 //! Replays operations on single voxels in the order of fabrication and holds each against its
 //! rule at its moment (INV Defs. 2.5, 2.6; `docs/RULES.md`, operations).
 //!
-//! Reach is read off bit rows along x, y and z. Stability after a cut is exact: every solid voxel
-//! has a parent among its neighbours, and parents lead to the base layer. A cut leaves only the
-//! voxels whose parent it was to be re-hung; a neighbour serves when its own line of parents
-//! reaches the base without them, else what hangs there is searched through until one does. What
-//! finds none is loose. A re-hanging walks lines as long as the part is high; the search is rare.
+//! Reach is read off bit rows along x, y and z; what hangs on what is kept up exactly
+//! ([`super::standing`]).
 
+use super::standing::Standing;
 use crate::plan::{Deed, Operation, Orientation};
 use crate::voxel::BitGrid;
 
@@ -71,19 +69,13 @@ impl Rows {
     }
 }
 
-const NOBODY: u32 = u32::MAX;
-
 struct Replay {
     dims: [usize; 3],
     along: [Rows; 3],
     /// Solid voxels in each slab across x, y, z, and which slabs have any.
     counts: [Vec<u32>; 3],
     slabs: [Rows; 3],
-    /// The neighbour each solid voxel hangs on; itself in the base layer.
-    parent: Vec<u32>,
-    /// Marks of the search at hand.
-    seen: Vec<u32>,
-    search: u32,
+    standing: Standing,
     length: usize,
 }
 
@@ -105,7 +97,7 @@ pub fn verify_operations(
     for (time, op) in operations.iter().enumerate() {
         replay.apply(time, op)?;
     }
-    let end = BitGrid::from_fn(target.dims(), |v| replay.solid(replay.index(v)));
+    let end = BitGrid::from_fn(target.dims(), |v| replay.solid(v));
     let (excess, deficit) = (end.minus(target).count(), target.minus(&end).count());
     if excess + deficit > 0 {
         return Err(OperationFault::End { excess, deficit });
@@ -116,52 +108,23 @@ pub fn verify_operations(
 impl Replay {
     fn new(initial: &BitGrid, length: usize) -> Result<Replay, OperationFault> {
         let dims @ [nx, ny, nz] = initial.dims();
-        let n = nx * ny * nz;
         let mut r = Replay {
             dims,
             along: [Rows::new(nx, ny * nz), Rows::new(ny, nx * nz), Rows::new(nz, nx * ny)],
             counts: dims.map(|n| vec![0; n]),
             slabs: dims.map(|n| Rows::new(n, 1)),
-            parent: vec![NOBODY; n],
-            seen: vec![0; n],
-            search: 0,
+            standing: Standing::new(dims, (0..nz).map(|z| z == 0).collect()),
             length,
         };
-        let mut open = Vec::new();
-        for v in initial.iter_ones() {
-            r.put(v, true);
-            if v[2] == 0 {
-                let i = r.index(v);
-                r.parent[i] = i as u32;
-                open.push(v);
-            }
+        initial.iter_ones().for_each(|v| r.put(v, true));
+        if r.standing.added(initial.iter_ones()) {
+            return Ok(r);
         }
-        while let Some(v) = open.pop() {
-            for q in r.neighbours(v) {
-                let i = r.index(q);
-                if r.solid(i) && r.parent[i] == NOBODY {
-                    r.parent[i] = r.index(v) as u32;
-                    open.push(q);
-                }
-            }
-        }
-        match initial.iter_ones().find(|v| r.parent[r.index(*v)] == NOBODY) {
-            Some(voxel) => Err(OperationFault::Unstable { voxel }),
-            None => Ok(r),
-        }
+        let loose = initial.iter_ones().find(|v| !r.standing.has(*v));
+        Err(OperationFault::Unstable { voxel: loose.unwrap_or_default() })
     }
 
-    fn index(&self, [x, y, z]: [usize; 3]) -> usize {
-        x + self.dims[0] * (y + self.dims[1] * z)
-    }
-
-    fn voxel(&self, i: usize) -> [usize; 3] {
-        let [nx, ny, _] = self.dims;
-        [i % nx, i / nx % ny, i / nx / ny]
-    }
-
-    fn solid(&self, i: usize) -> bool {
-        let [x, y, z] = self.voxel(i);
+    fn solid(&self, [x, y, z]: [usize; 3]) -> bool {
         self.along[0].row(y + self.dims[1] * z)[x / 64] >> (x % 64) & 1 == 1
     }
 
@@ -177,58 +140,46 @@ impl Replay {
         }
     }
 
-    /// Face and edge neighbours inside the box.
-    fn neighbours(&self, v: [usize; 3]) -> impl Iterator<Item = [usize; 3]> + use<> {
-        let dims = self.dims;
-        (0..27usize).filter_map(move |i| {
-            let o = [i % 3, i / 3 % 3, i / 9];
-            let off_axes = o.iter().filter(|c| **c != 1).count();
-            let mut q = [0; 3];
-            for a in 0..3 {
-                q[a] = (v[a] + o[a]).checked_sub(1).filter(|c| *c < dims[a])?;
-            }
-            (off_axes == 1 || off_axes == 2).then_some(q)
-        })
-    }
-
     fn apply(&mut self, time: usize, op: &Operation) -> Result<(), OperationFault> {
         let (voxel, v) = (op.voxel, op.voxel.map(usize::from));
         if (0..3).any(|a| v[a] >= self.dims[a]) {
             return Err(OperationFault::Outside { time, voxel });
         }
-        let i = self.index(v);
         let ways: &[Orientation] = match &op.deed {
-            Deed::Add => return self.add(time, voxel, i),
+            Deed::Add => return self.add(time, voxel),
             Deed::Cut(way) => std::slice::from_ref(way),
             Deed::CutAnyhow => &Orientation::ALL,
         };
-        if !self.solid(i) {
+        if !self.solid(v) {
             return Err(OperationFault::Absent { time, voxel });
         }
         if !ways.iter().any(|way| self.reaches(*way, v)) {
             return Err(OperationFault::Unreached { time, voxel });
         }
         self.put(v, false);
-        self.parent[i] = NOBODY;
-        if self.rehang(i, v) { Ok(()) } else { Err(OperationFault::Loose { time, voxel }) }
+        if self.standing.removed([v].into_iter()) {
+            Ok(())
+        } else {
+            Err(OperationFault::Loose { time, voxel })
+        }
     }
 
     /// Def. 2.5.
-    fn add(&mut self, time: usize, voxel: [u16; 3], i: usize) -> Result<(), OperationFault> {
+    fn add(&mut self, time: usize, voxel: [u16; 3]) -> Result<(), OperationFault> {
         let v @ [_, _, z] = voxel.map(usize::from);
-        if self.solid(i) {
+        if self.solid(v) {
             return Err(OperationFault::Filled { time, voxel });
         }
         if self.slabs[2].any_from(0, z + 1) {
             return Err(OperationFault::Below { time, voxel });
         }
-        let below = self.neighbours(v).filter(|q| q[2] < z).map(|q| self.index(q));
-        let carrier = if z == 0 { Some(i) } else { below.into_iter().find(|q| self.solid(*q)) };
-        let Some(carrier) = carrier else {
+        let mut below = self.standing.neighbours(v).filter(|q| q[2] < z);
+        if z > 0 && !below.any(|q| self.standing.has(q)) {
             return Err(OperationFault::Uncarried { time, voxel });
-        };
+        }
         self.put(v, true);
-        self.parent[i] = carrier as u32;
+        // A carrier is a neighbour that stands.
+        self.standing.added([v].into_iter());
         Ok(())
     }
 
@@ -249,77 +200,5 @@ impl Replay {
             let beyond = (at + 1).saturating_sub(self.length);
             !rows.any_before(row, at) && !slabs.any_before(0, beyond)
         }
-    }
-
-    /// Whether the line of parents from `i` ends in the base layer without meeting a voxel that
-    /// hangs on nothing.
-    fn stands(&self, mut i: usize) -> bool {
-        loop {
-            match self.parent[i] {
-                NOBODY => return false,
-                p if p as usize == i => return true,
-                p => i = p as usize,
-            }
-        }
-    }
-
-    /// Finds new parents for what hung on the voxel just cut; false when something is loose.
-    fn rehang(&mut self, cut: usize, v: [usize; 3]) -> bool {
-        let mut orphans: Vec<usize> = self
-            .neighbours(v)
-            .map(|q| self.index(q))
-            .filter(|q| self.parent[*q] == cut as u32)
-            .collect();
-        orphans.iter().for_each(|o| self.parent[*o] = NOBODY);
-        while !orphans.is_empty() {
-            let before = orphans.len();
-            let mut left = Vec::new();
-            for &o in &orphans {
-                let near = self.neighbours(self.voxel(o)).map(|q| self.index(q));
-                let host = near.into_iter().find(|q| self.solid(*q) && self.stands(*q));
-                match host {
-                    Some(host) => self.parent[o] = host as u32,
-                    None => left.push(o),
-                }
-            }
-            orphans = left;
-            if orphans.len() == before {
-                if !self.search_ground(orphans[0]) {
-                    return false;
-                }
-                let parent = &self.parent;
-                orphans.retain(|o| parent[*o] == NOBODY);
-            }
-        }
-        true
-    }
-
-    /// Searches all that is connected to `start` for a voxel that stands, and hangs the way to it
-    /// there.
-    fn search_ground(&mut self, start: usize) -> bool {
-        self.search += 1;
-        self.seen[start] = self.search;
-        let mut open = std::collections::VecDeque::from([start]);
-        let mut came_from = std::collections::HashMap::new();
-        while let Some(i) = open.pop_front() {
-            for q in self.neighbours(self.voxel(i)) {
-                let q = self.index(q);
-                if self.seen[q] == self.search || !self.solid(q) {
-                    continue;
-                }
-                self.seen[q] = self.search;
-                came_from.insert(q, i);
-                if self.stands(q) {
-                    let mut host = q;
-                    while let Some(&next) = came_from.get(&host) {
-                        self.parent[next] = host as u32;
-                        host = next;
-                    }
-                    return true;
-                }
-                open.push_back(q);
-            }
-        }
-        false
     }
 }

@@ -41,6 +41,12 @@ impl Profile {
         self.parts.iter().map(|(s, lift)| s.lower_surface(rho) + lift).fold(f64::INFINITY, f64::min)
     }
 
+    /// Whether f is one height from this radius on: nothing reaches so far but platforms.
+    pub fn is_flat_from(&self, radius: f64) -> bool {
+        let flat = |s: &Shape| matches!(s, Shape::Platform { .. }) || s.max_radius() < radius;
+        self.parts.iter().all(|(s, _)| flat(s))
+    }
+
     /// f for obstacles: an obstacle on the very edge of a section does not meet it.
     pub fn over_obstacle(&self, rho: f64) -> f64 {
         self.at(rho + ROUNDING_MM)

@@ -19,6 +19,10 @@ pub(super) struct Replay<'a> {
     fixed: Vec<DVec3>,
     contact_is_empty: bool,
     contact_center: DVec3,
+    /// The step taken last, which `before` does not have yet.
+    last: Option<&'a Step>,
+    /// Extents of `before` and `after`.
+    bounds: [Slabs; 2],
 }
 
 /// Where a tool works: obstacles, grid and image plane of one step.
@@ -28,6 +32,42 @@ pub(super) struct Site<'a> {
     pub frame: &'a Frame,
     pub direction: Direction,
     pub plane: ImagePlane,
+    /// The first and the last slab across x, y, z with anything solid; none when nothing is.
+    pub bounds: [Option<(usize, usize)>; 3],
+}
+
+/// How many solid voxels each slab across x, y, z holds.
+#[derive(Clone)]
+struct Slabs([Vec<usize>; 3]);
+
+impl Slabs {
+    fn of(solid: &BitGrid) -> Slabs {
+        let mut slabs = Slabs(solid.dims().map(|n| vec![0; n]));
+        for (y, z, x, n) in solid.runs() {
+            slabs.0[0][x..x + n].iter_mut().for_each(|c| *c += 1);
+            slabs.0[1][y] += n;
+            slabs.0[2][z] += n;
+        }
+        slabs
+    }
+
+    fn bounds(&self) -> [Option<(usize, usize)>; 3] {
+        [0, 1, 2].map(|a| {
+            let held = |n: &usize| *n > 0;
+            self.0[a].iter().position(held).zip(self.0[a].iter().rposition(held))
+        })
+    }
+}
+
+/// Applies a step whose region is on the state's grid.
+fn apply(step: &Step, state: &mut BitGrid, slabs: &mut Slabs) {
+    let adds = step.kind == StepKind::Additive;
+    for v in step.region.iter_ones().filter(|v| state.get(*v) != adds) {
+        for (slab, at) in slabs.0.iter_mut().zip(v) {
+            slab[at] = if adds { slab[at] + 1 } else { slab[at] - 1 };
+        }
+    }
+    if adds { state.union_with(&step.region) } else { state.subtract(&step.region) }
 }
 
 /// How the part stands on the machine in one holding.
@@ -53,22 +93,21 @@ impl<'a> Replay<'a> {
             fixed: Vec::new(),
             contact_is_empty: false,
             contact_center: DVec3::ZERO,
+            last: None,
+            bounds: [Slabs::of(&job.initial), Slabs::of(&job.initial)],
         }
     }
 
     /// Applies a step whose region is on the job's grid.
-    pub fn take(&mut self, step: &Step) {
-        std::mem::swap(&mut self.before, &mut self.after);
-        self.after = self.before.clone();
+    pub fn take(&mut self, step: &'a Step) {
+        // Step by step: a copy of the state would cost more than most steps of a long plan.
+        if let Some(last) = self.last.replace(step) {
+            apply(last, &mut self.before, &mut self.bounds[0]);
+        }
+        apply(step, &mut self.after, &mut self.bounds[1]);
         match step.kind {
-            StepKind::Subtractive => {
-                self.after.subtract(&step.region);
-                self.removed.union_with(&step.region);
-            }
-            StepKind::Additive => {
-                self.after.union_with(&step.region);
-                self.added.union_with(&step.region);
-            }
+            StepKind::Subtractive => self.removed.union_with(&step.region),
+            StepKind::Additive => self.added.union_with(&step.region),
         }
         if self.holding != Some(step.holding) {
             self.hold(step.holding);
@@ -99,9 +138,15 @@ impl<'a> Replay<'a> {
         Held { nothing: self.contact_is_empty, contact_center: self.contact_center }
     }
 
-    pub fn site<'s>(&'s self, job: &'s Job, step: &Step, solid: &'s BitGrid) -> Site<'s> {
+    /// The state that the step's tool must not meet: what a cut leaves, what a deposit finds.
+    pub fn site<'s>(&'s self, job: &'s Job, step: &Step) -> Site<'s> {
+        let (solid, bounds) = match step.kind {
+            StepKind::Subtractive => (&self.after, &self.bounds[1]),
+            StepKind::Additive => (&self.before, &self.bounds[0]),
+        };
         Site {
             solid,
+            bounds: bounds.bounds(),
             fixed: &self.fixed,
             frame: &job.frame,
             direction: step.direction,

@@ -75,11 +75,11 @@ fn without_first_layer(job: &Job, step: &Step, before: &BitGrid) -> Tally {
 
 /// The voxels of the region without a carrier.
 pub(super) fn unsupported(step: &Step, before: &BitGrid, overhang_deg: f64) -> Tally {
-    let solid = before.or(&step.region);
+    let solid = Solid { before, region: &step.region };
     let carriers = Carriers::new(step.direction, overhang_deg);
-    let [_, ny, nz] = solid.dims();
+    let ny = before.dims()[1];
     let mut tally = Tally::default();
-    for (y, z) in (0..nz).flat_map(|z| (0..ny).map(move |y| (y, z))) {
+    for (y, z) in step.region.stored_rows().map(|r| (r % ny, r / ny)) {
         for (w, bits) in step.region.row(y, z).iter().enumerate().filter(|(_, b)| **b != 0) {
             let mut left = uncarried(&solid, &carriers, (y, z, w), *bits);
             while left != 0 {
@@ -91,8 +91,14 @@ pub(super) fn unsupported(step: &Step, before: &BitGrid, overhang_deg: f64) -> T
     tally
 }
 
+/// What is there and what is added, together.
+struct Solid<'a> {
+    before: &'a BitGrid,
+    region: &'a BitGrid,
+}
+
 /// Those of the voxels `bits` of word w of a row that nothing carries.
-fn uncarried(solid: &BitGrid, carriers: &Carriers, word: (usize, usize, usize), bits: u64) -> u64 {
+fn uncarried(solid: &Solid, carriers: &Carriers, word: (usize, usize, usize), bits: u64) -> u64 {
     let mut left = bits;
     for a in &carriers.direct {
         left &= !shifted(solid, word, *a);
@@ -110,17 +116,18 @@ fn uncarried(solid: &BitGrid, carriers: &Carriers, word: (usize, usize, usize), 
 }
 
 /// The word whose bit x is the voxel at offset `o` from voxel x of word w; empty outside the grid.
-fn shifted(solid: &BitGrid, (y, z, w): (usize, usize, usize), o: [i64; 3]) -> u64 {
-    let [_, ny, nz] = solid.dims();
+fn shifted(solid: &Solid, (y, z, w): (usize, usize, usize), o: [i64; 3]) -> u64 {
+    let [_, ny, nz] = solid.before.dims();
     let (y, z) = (y as i64 + o[1], z as i64 + o[2]);
     if y < 0 || z < 0 || y >= ny as i64 || z >= nz as i64 {
         return 0;
     }
-    let row = solid.row(y as usize, z as usize);
-    let at = |i: Option<usize>| i.and_then(|i| row.get(i)).copied().unwrap_or(0);
+    let rows = [solid.before, solid.region].map(|g| g.row(y as usize, z as usize));
+    let at = |i: usize| rows.iter().fold(0, |bits, row| bits | row.get(i).copied().unwrap_or(0));
+    let left = |w: usize| w.checked_sub(1).map_or(0, at);
     match o[0] {
-        0 => row[w],
-        s if s > 0 => row[w] >> s | at(Some(w + 1)) << (64 - s),
-        s => row[w] << -s | at(w.checked_sub(1)) >> (64 + s),
+        0 => at(w),
+        s if s > 0 => at(w) >> s | at(w + 1) << (64 - s),
+        s => at(w) << -s | left(w) >> (64 + s),
     }
 }

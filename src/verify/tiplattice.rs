@@ -133,8 +133,10 @@ pub(super) fn tally_rows<State: Default>(
     ctx: &Ctx,
     fails: impl Fn(&mut State, [usize; 3]) -> Result<bool, Cancelled> + Sync,
 ) -> Result<Tally, Cancelled> {
-    let [_, ny, nz] = step.region.dims();
-    let tallies: Vec<Tally> = (0..ny * nz)
+    let ny = step.region.dims()[1];
+    let tallies: Vec<Tally> = step
+        .region
+        .stored_rows()
         .into_par_iter()
         .with_min_len(8)
         .map(|r| {

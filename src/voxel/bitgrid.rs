@@ -1,12 +1,28 @@
 use rayon::prelude::*;
 
 /// A set of voxels: one bit each, rows of u64 words along x, rows ordered by y, then z.
-#[derive(Clone, PartialEq, Eq)]
+///
+/// A grid made by [`BitGrid::with_rows`] stores some consecutive rows alone, the others being
+/// empty, and asks time and memory for those only; written to elsewhere it stores all.
+#[derive(Clone)]
 pub struct BitGrid {
     dims: [usize; 3],
     words_per_row: usize,
+    /// Place in the whole grid of the first word stored.
+    first: usize,
     words: Vec<u64>,
 }
+
+impl PartialEq for BitGrid {
+    fn eq(&self, other: &BitGrid) -> bool {
+        self.dims == other.dims && self.is_subset_of(other) && other.is_subset_of(self)
+    }
+}
+
+impl Eq for BitGrid {}
+
+/// A row that is not stored; grids with longer rows store all of theirs.
+static EMPTY_ROW: [u64; 1024] = [0; 1024];
 
 impl std::fmt::Debug for BitGrid {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -22,7 +38,35 @@ impl BitGrid {
     /// An empty grid.
     pub fn new(dims: [usize; 3]) -> Self {
         let words_per_row = dims[0].div_ceil(64);
-        BitGrid { dims, words_per_row, words: vec![0; words_per_row * dims[1] * dims[2]] }
+        BitGrid { dims, words_per_row, first: 0, words: vec![0; words_per_row * dims[1] * dims[2]] }
+    }
+
+    /// An empty grid that stores only these rows, counted y + ny z.
+    pub fn with_rows(dims: [usize; 3], rows: std::ops::Range<usize>) -> Self {
+        let words_per_row = dims[0].div_ceil(64);
+        let rows = if words_per_row > EMPTY_ROW.len() { 0..dims[1] * dims[2] } else { rows };
+        let end = rows.end.min(dims[1] * dims[2]);
+        let words = vec![0; words_per_row * end.saturating_sub(rows.start)];
+        BitGrid { dims, words_per_row, first: words_per_row * rows.start.min(end), words }
+    }
+
+    /// The rows that are stored, counted y + ny z; all others are empty.
+    pub fn stored_rows(&self) -> std::ops::Range<usize> {
+        let w = self.words_per_row.max(1);
+        self.first / w..(self.first + self.words.len()) / w
+    }
+
+    fn is_whole(&self) -> bool {
+        self.words.len() == self.words_per_row * self.dims[1] * self.dims[2]
+    }
+
+    /// Stores all rows from now on.
+    fn make_whole(&mut self) {
+        if !self.is_whole() {
+            let mut whole = BitGrid::new(self.dims);
+            whole.words[self.first..self.first + self.words.len()].copy_from_slice(&self.words);
+            *self = whole;
+        }
     }
 
     /// A grid that is solid where `f(x, y, z)` holds.
@@ -47,7 +91,12 @@ impl BitGrid {
         self.words_per_row
     }
 
+    /// All words.
+    ///
+    /// # Panics
+    /// When the grid was made by [`BitGrid::with_rows`] and not written to elsewhere.
     pub fn words(&self) -> &[u64] {
+        assert!(self.is_whole(), "the words of a grid that stores some rows alone");
         &self.words
     }
 
@@ -64,14 +113,25 @@ impl BitGrid {
         (y + self.dims[1] * z) * self.words_per_row
     }
 
+    /// Where a word is stored, which it is from now on.
+    fn stored(&mut self, word: usize) -> usize {
+        if word < self.first || word - self.first >= self.words.len() {
+            self.make_whole();
+        }
+        word - self.first
+    }
+
     pub fn row(&self, y: usize, z: usize) -> &[u64] {
-        let s = self.row_start(y, z);
-        &self.words[s..s + self.words_per_row]
+        let s = self.row_start(y, z).wrapping_sub(self.first);
+        match self.words.get(s..s.wrapping_add(self.words_per_row)) {
+            Some(row) => row,
+            None => &EMPTY_ROW[..self.words_per_row],
+        }
     }
 
     /// A row to write to; the caller keeps the bits past `dims[0]` zero.
     pub fn row_mut(&mut self, y: usize, z: usize) -> &mut [u64] {
-        let s = self.row_start(y, z);
+        let s = self.stored(self.row_start(y, z));
         &mut self.words[s..s + self.words_per_row]
     }
 
@@ -79,6 +139,7 @@ impl BitGrid {
     pub fn par_rows_mut(
         &mut self,
     ) -> impl IndexedParallelIterator<Item = (usize, usize, &mut [u64])> {
+        self.make_whole();
         let ny = self.dims[1];
         // A grid with an empty axis has no rows; chunks of at least one word keep rayon content.
         self.words
@@ -94,13 +155,15 @@ impl BitGrid {
         &mut self,
         slices: usize,
     ) -> impl IndexedParallelIterator<Item = (usize, &mut [u64])> {
+        self.make_whole();
         let words = self.words_per_row * self.dims[1] * slices;
         self.words.par_chunks_mut(words.max(1)).enumerate().map(move |(i, w)| (i * slices, w))
     }
 
     pub fn get(&self, [x, y, z]: [usize; 3]) -> bool {
         debug_assert!(x < self.dims[0]);
-        self.words[self.row_start(y, z) + x / 64] >> (x % 64) & 1 == 1
+        let word = (self.row_start(y, z) + x / 64).wrapping_sub(self.first);
+        self.words.get(word).is_some_and(|w| w >> (x % 64) & 1 == 1)
     }
 
     /// False outside the grid.
@@ -111,7 +174,7 @@ impl BitGrid {
 
     pub fn set(&mut self, [x, y, z]: [usize; 3], solid: bool) {
         debug_assert!(x < self.dims[0]);
-        let i = self.row_start(y, z) + x / 64;
+        let i = self.stored(self.row_start(y, z) + x / 64);
         let bit = 1 << (x % 64);
         if solid { self.words[i] |= bit } else { self.words[i] &= !bit }
     }
@@ -128,20 +191,46 @@ impl BitGrid {
         self.words.iter().all(|w| *w == 0)
     }
 
+    /// Applies `f` where both grids store words.
     fn zip_words(&mut self, other: &BitGrid, f: impl Fn(&mut u64, u64) + Sync) {
         assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
-        self.words
+        let (own, others) = self.shared(other);
+        self.words[own]
             .par_chunks_mut(CHUNK)
-            .zip(other.words.par_chunks(CHUNK))
+            .zip(other.words[others].par_chunks(CHUNK))
             .for_each(|(a, b)| a.iter_mut().zip(b).for_each(|(a, b)| f(a, *b)));
     }
 
+    /// Where the words that both grids store are in either.
+    fn shared(&self, other: &BitGrid) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+        let start = self.first.max(other.first);
+        let end = (self.first + self.words.len()).min(other.first + other.words.len());
+        if start >= end {
+            return (0..0, 0..0);
+        }
+        (start - self.first..end - self.first, start - other.first..end - other.first)
+    }
+
+    /// The words that both grids store, in pairs.
+    fn pairs<'a>(&'a self, other: &'a BitGrid) -> (&'a [u64], &'a [u64]) {
+        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
+        let (own, others) = self.shared(other);
+        (&self.words[own], &other.words[others])
+    }
+
     pub fn union_with(&mut self, other: &BitGrid) {
+        let (own, _) = self.shared(other);
+        if own.len() < other.words.len() {
+            self.make_whole();
+        }
         self.zip_words(other, |a, b| *a |= b);
     }
 
     pub fn intersect_with(&mut self, other: &BitGrid) {
+        let (own, _) = self.shared(other);
         self.zip_words(other, |a, b| *a &= b);
+        self.words[..own.start].fill(0);
+        self.words[own.end..].fill(0);
     }
 
     pub fn subtract(&mut self, other: &BitGrid) {
@@ -171,10 +260,9 @@ impl BitGrid {
 
     /// |A ∩ B| without making it.
     pub fn count_and(&self, other: &BitGrid) -> usize {
-        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
-        self.words
-            .par_chunks(CHUNK)
-            .zip(other.words.par_chunks(CHUNK))
+        let (a, b) = self.pairs(other);
+        a.par_chunks(CHUNK)
+            .zip(b.par_chunks(CHUNK))
             .map(|(a, b)| {
                 a.iter().zip(b).map(|(a, b)| (a & b).count_ones() as usize).sum::<usize>()
             })
@@ -182,20 +270,23 @@ impl BitGrid {
     }
 
     pub fn is_subset_of(&self, other: &BitGrid) -> bool {
-        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
-        self.words.iter().zip(&other.words).all(|(a, b)| a & !b == 0)
+        let (own, _) = self.shared(other);
+        let (a, b) = self.pairs(other);
+        a.iter().zip(b).all(|(a, b)| a & !b == 0)
+            && self.words[..own.start].iter().chain(&self.words[own.end..]).all(|w| *w == 0)
     }
 
     pub fn intersects(&self, other: &BitGrid) -> bool {
-        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
-        self.words.iter().zip(&other.words).any(|(a, b)| a & b != 0)
+        let (a, b) = self.pairs(other);
+        a.iter().zip(b).any(|(a, b)| a & b != 0)
     }
 
     /// Solid voxels in x, y, z order.
     pub fn iter_ones(&self) -> impl Iterator<Item = [usize; 3]> + '_ {
         let (w, ny) = (self.words_per_row.max(1), self.dims[1]);
+        let skipped = self.first / w;
         self.words.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(move |(i, &bits)| {
-            let (r, base) = (i / w, i % w * 64);
+            let (r, base) = (skipped + i / w, i % w * 64);
             let mut rest = bits;
             std::iter::from_fn(move || {
                 (rest != 0).then(|| {
@@ -209,8 +300,8 @@ impl BitGrid {
 
     /// Runs of solid voxels as (y, z, x, length), in order.
     pub fn runs(&self) -> impl Iterator<Item = (usize, usize, usize, usize)> + '_ {
-        let (nx, ny, nz) = (self.dims[0], self.dims[1], self.dims[2]);
-        (0..nz).flat_map(move |z| (0..ny).map(move |y| (y, z))).flat_map(move |(y, z)| {
+        let (nx, ny) = (self.dims[0], self.dims[1]);
+        self.stored_rows().map(move |r| (r % ny, r / ny)).flat_map(move |(y, z)| {
             let row = self.row(y, z);
             let mut x = 0;
             std::iter::from_fn(move || {

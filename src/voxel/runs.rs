@@ -6,7 +6,8 @@
 //! then y, z, x, length of every run.
 //!
 //! Guarantees: [`RunRows::to_grid`] accepts what [`RunRows::from_grid`] writes and nothing else,
-//! whatever the file says, and allocates no more than a grid of the largest allowed size.
+//! whatever the file says, and allocates the rows of [`RunRows::span`] alone, no more than a grid
+//! of the largest allowed size.
 
 use super::BitGrid;
 use super::frame::MOST_VOXELS;
@@ -69,7 +70,23 @@ impl RunRows {
         &self.sha256
     }
 
-    /// Checks everything and makes the grid.
+    /// The rows a grid of these dims has from the first to the last that is named, counted
+    /// y + ny z: what [`RunRows::to_grid`] stores. All of them when the rows are out of order.
+    pub fn span(&self, dims: [usize; 3]) -> std::ops::Range<usize> {
+        let [_, ny, nz] = dims;
+        let all = 0..ny.saturating_mul(nz);
+        let place = |row: Option<&Vec<u32>>| match row.map(|r| &r[..]) {
+            Some([y, z, ..]) => (*z as usize).checked_mul(ny)?.checked_add(*y as usize),
+            _ => None,
+        };
+        match (place(self.rows.first()), place(self.rows.last())) {
+            (Some(first), Some(last)) if first <= last && last < all.end => first..last + 1,
+            _ if self.rows.is_empty() => 0..0,
+            _ => all,
+        }
+    }
+
+    /// Checks everything and makes the grid, which stores the rows from the first to the last.
     ///
     /// # Errors
     /// [`RunsError`] names the first row that is wrong, or the digest.
@@ -81,7 +98,7 @@ impl RunRows {
         if cells.is_none_or(|n| n > most) {
             return Err(RunsError::GridTooLarge(nx, ny, nz));
         }
-        let mut grid = BitGrid::new(dims);
+        let mut grid = BitGrid::with_rows(dims, self.span(dims));
         let mut last = None;
         for (row, numbers) in self.rows.iter().enumerate() {
             let [y, z, runs @ ..] = &numbers[..] else {

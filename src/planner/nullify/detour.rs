@@ -25,7 +25,7 @@ const ATTEMPTS: usize = 6;
 
 /// Cells looked at before a search gives up and the confined one begins. Fewer, and sheets of
 /// support creep along under the top layer; more, and time is lost where no way is.
-const MOST_VISITS: usize = 10_000;
+pub(super) const MOST_VISITS: usize = 10_000;
 
 /// The same for a tree that ends in the air: a longer way is not worth the tree.
 pub(super) const NEAR_VISITS: usize = 3_000;

@@ -153,7 +153,7 @@ impl Forest {
 
     /// The empty cells to which a tree under the demands could lead.
     pub fn reachable(&mut self, w: &Workpiece, b: &Bottleneck, demands: &[Demand]) -> Vec<Cell> {
-        self.explore(w, b, demands, DEPTHS[1]);
+        self.explore(w, b, demands, REACH);
         let cells = self.nodes.iter().map(|n| n.cell).collect();
         self.clear();
         cells

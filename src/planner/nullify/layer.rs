@@ -9,7 +9,7 @@
 //! nothing is needy and the rest of the layer goes at once.
 
 use super::bottleneck::Bottleneck;
-use super::detour::{Detour, NEAR_VISITS};
+use super::detour::{Detour, MOST_VISITS, NEAR_VISITS};
 use super::forest::{Demand, Forest, carried};
 use super::ledge;
 use super::workpiece::{Cell, Ways, Workpiece};
@@ -29,6 +29,12 @@ const FEWEST: usize = 3;
 /// down; higher, and ways run deep that could have been short.
 const SHALLOW: u32 = 2;
 const SERVED: u32 = 2;
+
+/// Needy and hanging cells from which on a way sideways is looked for in a window, and half the
+/// window's width in cells. A search costs what it begins from, and a broad underside takes ways by
+/// the hundred; narrower, and ways begin where others would have served more.
+const CROWD: usize = 4_000;
+const WINDOW: i32 = 24;
 
 /// The planner's whole state.
 pub(super) struct Nullifier {
@@ -78,6 +84,27 @@ struct Clusters {
     anchors: Vec<u32>,
 }
 
+/// How many rounds of a layer go by before trees without a limit are looked for again: twice as
+/// many after each time in vain, none after a find. What would help lies deep and rarely changes.
+#[derive(Default)]
+struct Patience {
+    left: usize,
+    wait: usize,
+}
+
+impl Patience {
+    fn is_over(&mut self) -> bool {
+        let over = self.left == 0;
+        self.left = self.left.saturating_sub(1);
+        over
+    }
+
+    fn tried(&mut self, found: bool) {
+        self.wait = if found { 0 } else { 2 * self.wait + 1 };
+        self.left = self.wait;
+    }
+}
+
 impl Nullifier {
     pub fn new(w: Workpiece, minimum_feature: usize, seed: u64) -> Nullifier {
         let b = Bottleneck::new(&w);
@@ -112,6 +139,8 @@ impl Nullifier {
         // Demands that found no tree although the cutter reaches under them: asked again only when
         // nothing else helps, since what would help them lies deep and rarely changes.
         let mut vain: HashSet<Cell> = HashSet::new();
+        let mut patience = Patience::default();
+        let mut barren = Vec::new();
         loop {
             let survey = self.survey(&rest);
             if survey.needy.is_empty() && survey.hanging.is_empty() {
@@ -133,8 +162,9 @@ impl Nullifier {
             if grown.is_empty() {
                 grown = ledge::build(&mut self.w, &mut self.b, &survey.needy);
             }
-            if grown.is_empty() {
+            if grown.is_empty() && patience.is_over() {
                 grown = self.forest.grow(&mut self.w, &mut self.b, &demands, i32::MAX);
+                patience.tried(!grown.is_empty());
             }
             self.record(&grown);
             if grown.is_empty() {
@@ -143,8 +173,7 @@ impl Nullifier {
                     hasty = true;
                     continue;
                 }
-                let sources = self.sources(&survey, &clusters, &demands);
-                let way = self.detour.connect(&mut self.w, &mut self.b, &sources);
+                let way = self.lead(&survey, &clusters, &demands, &mut barren);
                 if way.is_empty() {
                     return Err(Stuck { layer: top, left: rest.len() });
                 }
@@ -205,6 +234,42 @@ impl Nullifier {
             grown.extend(self.forest.grow(&mut self.w, &mut self.b, demands, FIRST));
         }
         grown
+    }
+
+    /// A way from what is needy to the ground. Where much is needy it is looked for in windows
+    /// first; those in vain go into `barren` and are left out from then on.
+    fn lead(
+        &mut self,
+        survey: &Survey,
+        clusters: &Clusters,
+        demands: &[Demand],
+        barren: &mut Vec<Cell>,
+    ) -> Vec<(Cell, Ways)> {
+        let crowded = survey.needy.len() + clusters.hanging.len() > CROWD;
+        let mut anchors = survey.needy.iter().chain(&survey.hanging).filter(|_| crowded);
+        while let Some(&anchor) = anchors.find(|c| !barren.iter().any(|b| self.near(*b, **c))) {
+            let within = |cells: &[Cell]| -> Vec<Cell> {
+                cells.iter().copied().filter(|c| self.near(anchor, *c)).collect()
+            };
+            let (needy, hanging) = (within(&survey.needy), within(&clusters.hanging));
+            let demands: Vec<Demand> =
+                demands.iter().filter(|d| self.near(anchor, d.cell)).copied().collect();
+            let sources = self.sources(&needy, &hanging, &demands);
+            let (w, b) = (&mut self.w, &mut self.b);
+            let way = self.detour.connect_free(w, b, &sources, MOST_VISITS);
+            if !way.is_empty() {
+                return way;
+            }
+            barren.push(anchor);
+        }
+        let sources = self.sources(&survey.needy, &clusters.hanging, demands);
+        self.detour.connect(&mut self.w, &mut self.b, &sources)
+    }
+
+    /// Whether two cells are in one window.
+    fn near(&self, anchor: Cell, cell: Cell) -> bool {
+        let ([x, y, _], [cx, cy, _]) = (self.w.voxel(anchor), self.w.voxel(cell));
+        (cx - x).abs() <= WINDOW && (cy - y).abs() <= WINDOW
     }
 
     fn survey(&self, rest: &[Cell]) -> Survey {
@@ -367,13 +432,13 @@ impl Nullifier {
     /// there: carriers of the needy, cells a tree could lead to, cells beside hanging material.
     fn sources(
         &mut self,
-        survey: &Survey,
-        clusters: &Clusters,
+        needy: &[Cell],
+        hanging: &[Cell],
         demands: &[Demand],
     ) -> Vec<(Cell, u32)> {
         let (w, top) = (&self.w, self.w.top);
-        let under = survey.needy.iter().flat_map(|c| w.carriers(*c));
-        let beside = clusters.hanging.iter().flat_map(|c| w.neighbours(*c));
+        let under = needy.iter().flat_map(|c| w.carriers(*c));
+        let beside = hanging.iter().flat_map(|c| w.neighbours(*c));
         let tree = self.forest.reachable(w, &self.b, demands);
         let cells = under.chain(beside).chain(tree);
         let cells: BTreeSet<Cell> = cells.filter(|c| w.empty(*c) && w.height(*c) < top).collect();

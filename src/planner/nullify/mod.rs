@@ -13,7 +13,8 @@
 //!
 //! Stages: from the finished model backward, layer by layer from the top (`layer`); supports as
 //! trees (`forest`), ledges (`ledge`) and ways (`detour`); a non-empty beginning
-//! (`initial`); what turned out needless left out (`prune`), deposits and cuts gathered (`order`);
+//! (`initial`); what turned out needless left out (`prune`), deposits and cuts gathered (`order`),
+//! cuts sorted by orientation (`turns`);
 //! operations into steps (`patches`).
 //!
 //! What differs from the paper: stability is exact for the whole model (`bottleneck`) instead of
@@ -34,6 +35,7 @@ mod naive_tests;
 mod order;
 mod patches;
 mod prune;
+mod turns;
 mod workpiece;
 #[cfg(test)]
 mod world_tests;

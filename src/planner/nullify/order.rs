@@ -6,9 +6,12 @@
 //! then erosions in theirs while all that was accreted before them is there, and so on in turn.
 //! For these two orders no other merging has fewer turns, since each turn goes as far as any could.
 //!
+//! Within a turn the accretions are sorted by orientation ([`super::turns`]).
+//!
 //! Guarantees: the same operations, valid whenever the given order is.
 
 use super::layer::Undoing;
+use super::turns::Turns;
 use super::workpiece::{Cell, Workpiece};
 
 /// `deeds` of nullification, done in as few turns of erosion and accretion as their two orders
@@ -25,17 +28,21 @@ pub(super) fn gathered(w: &mut Workpiece, deeds: &[(Cell, Undoing)]) -> Vec<(Cel
     }
     let mut gathered = Vec::with_capacity(deeds.len());
     let (mut accreted, mut eroded) = (0, 0);
+    let mut turns = Turns::new(w);
     loop {
         let before = gathered.len();
+        let (mut phase, mut log) = (Vec::new(), Vec::new());
         while let Some(&cell) = accretions.get(accreted) {
             let ways = w.ways(cell);
             if ways.is_empty() {
                 break;
             }
-            w.accrete(cell);
-            gathered.push((cell, Undoing::Accreted(ways)));
+            log.push(w.accrete(cell));
+            phase.push((cell, ways));
             accreted += 1;
         }
+        w.undo(log.into_iter());
+        gathered.extend(turns.grouped(w, &phase));
         while let Some(&(cell, needed)) = erosions.get(eroded) {
             if needed > accreted {
                 break;

@@ -22,6 +22,21 @@ pub(super) fn switches(operations: &[Operation]) -> usize {
     operations.windows(2).filter(|w| adds(&w[0]) != adds(&w[1])).count()
 }
 
+/// The voxel of an operation in the job's grid.
+fn place(op: &Operation, sequence: &Sequence) -> [usize; 3] {
+    std::array::from_fn(|a| sequence.corner[a] + usize::from(op.voxel[a]))
+}
+
+/// The rows of the job's grid from the first to the last with a voxel of these operations.
+fn rows(run: &[Operation], sequence: &Sequence, dims: [usize; 3]) -> std::ops::Range<usize> {
+    let row = |op: &Operation| {
+        let [_, y, z] = place(op, sequence);
+        y + dims[1] * z
+    };
+    let first = run.iter().map(row).min().unwrap_or(0);
+    first..run.iter().map(row).max().map_or(first, |last| last + 1)
+}
+
 /// The plan of a sequence; without steps when their regions would not fit a plan file.
 pub(super) fn steps(job: &Job, sequence: &Sequence) -> Result<Plan, PlanError> {
     let missing = |kind| PlanError::NoTool { kind };
@@ -29,8 +44,9 @@ pub(super) fn steps(job: &Job, sequence: &Sequence) -> Result<Plan, PlanError> {
     let nozzle = &job.nozzles.first().ok_or(missing("additive"))?.name;
     let runs = runs(&sequence.operations);
     let dims = job.frame.dims;
-    let bits = dims[0].div_ceil(64) as u64 * 64 * (dims[1] * dims[2]) as u64;
-    if bits.saturating_mul(runs.len() as u64) > MOST_STATE_BITS {
+    let row_bits = dims[0].div_ceil(64) as u64 * 64;
+    let bits: u64 = runs.iter().map(|run| rows(run, sequence, dims).len() as u64 * row_bits).sum();
+    if bits > MOST_STATE_BITS {
         return Err(NullifyError::TooManySteps { steps: runs.len(), dims }.into());
     }
     let mut blocks = [0usize; 2];
@@ -40,11 +56,8 @@ pub(super) fn steps(job: &Job, sequence: &Sequence) -> Result<Plan, PlanError> {
             Deed::Cut(way) => (StepKind::Subtractive, cutter, way.spindle()),
             Deed::Add | Deed::CutAnyhow => (StepKind::Additive, nozzle, Direction::Z),
         };
-        let mut region = BitGrid::new(dims);
-        for op in run {
-            region
-                .set(std::array::from_fn(|a| sequence.corner[a] + usize::from(op.voxel[a])), true);
-        }
+        let mut region = BitGrid::with_rows(dims, rows(run, sequence, dims));
+        run.iter().for_each(|op| region.set(place(op, sequence), true));
         let block = &mut blocks[usize::from(kind == StepKind::Additive)];
         steps.push(Step {
             kind,

@@ -31,6 +31,15 @@ impl Ways {
         Ways(self.0 & other.0)
     }
 
+    /// The one orientation with this place in [`Orientation::ALL`].
+    pub fn only(i: usize) -> Ways {
+        Ways(1 << i)
+    }
+
+    pub fn without(self, other: Ways) -> Ways {
+        Ways(self.0 & !other.0)
+    }
+
     pub fn any(self) -> Option<Orientation> {
         Orientation::ALL.into_iter().enumerate().find(|(i, _)| self.0 >> i & 1 == 1).map(|o| o.1)
     }
@@ -192,6 +201,32 @@ impl Workpiece {
         }
     }
 
+    /// Steps along the lines of cells whose tool a cell is in, each with the place in
+    /// [`Orientation::ALL`] of the orientation: what lies below is cut from above, and so on.
+    pub fn lines(&self) -> [(i32, usize); 5] {
+        let [row, layer] = self.stride;
+        [(-layer, 0), (1, 1), (-1, 2), (row, 3), (-row, 4)]
+    }
+
+    /// The orientation in which `cell` would be in the way of a cut at `other`, if any.
+    pub fn bars(&self, cell: Cell, other: Cell) -> Option<Ways> {
+        let ([x, y, z], [ox, oy, oz]) = (self.voxel(cell), self.voxel(other));
+        let way = match (ox - x, oy - y, oz - z) {
+            (0, 0, d) if d < 0 => 0,
+            (d, 0, 0) if d > 0 => 1,
+            (_, 0, 0) => 2,
+            (0, d, 0) if d > 0 => 3,
+            (0, _, 0) => 4,
+            _ => return None,
+        };
+        Some(Ways::only(way))
+    }
+
+    /// Whether the cell lies beyond the domain.
+    pub fn outside(&self, cell: Cell) -> bool {
+        self.cells[cell as usize] == OUTSIDE
+    }
+
     /// The eight neighbours in the same layer.
     pub fn beside(&self, cell: Cell) -> [Cell; 8] {
         let (c, row) = (cell as i32, self.stride[0]);
@@ -276,6 +311,13 @@ impl Workpiece {
         let [nx, ny, _] = self.dims;
         let at_side = x == 0 || y == 0 || x == nx - 1 || y == ny - 1;
         z == self.top - 1 && (at_side || self.tops[(x + nx * y) as usize] < z)
+    }
+
+    /// Whether `cell` lies beyond all material along x or y, so that it may end up in the cutter's
+    /// half-space for others.
+    pub fn widens(&self, cell: Cell) -> bool {
+        let [x, y, _] = self.voxel(cell);
+        [x, y].into_iter().zip(&self.slabs).any(|(at, s)| at < s.first || at > s.last)
     }
 
     fn insert(&mut self, cell: Cell, [x, y, z]: [i32; 3]) {
