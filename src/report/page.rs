@@ -73,9 +73,11 @@ fn steps(file: &PlanFile, job: &Job, plan: &Plan) -> Vec<Value> {
             state.subtract(&step.region);
         }
         let drawn = (i + 1) % stride == 0 || i + 1 == plan.steps.len();
-        let drawing = drawn
-            .then(|| draw_step(&job.frame, &state, &step.region, step.kind, step.direction))
-            .unwrap_or_default();
+        let drawing = if drawn {
+            draw_step(&job.frame, &state, &step.region, step.kind, step.direction)
+        } else {
+            Default::default()
+        };
         if step.kind == StepKind::Additive {
             state.union_with(&step.region);
         }
