@@ -153,7 +153,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         },
         reman: reman::Options {
             iterations: args.iterations as usize,
-            rounds: args.rounds as usize,
+            rounds: rounds(args, nullified)?,
             search: match args.search {
                 args::SearchArg::Mcts => reman::Search::Mcts,
                 args::SearchArg::Random => reman::Search::Random,
@@ -224,6 +224,17 @@ fn search(args: &PlanArgs) -> Result<Option<hybrid::Options>, Failure> {
         patience: usual.patience.filter(|_| args.time_limit.is_none()),
         ..usual
     }))
+}
+
+/// # Errors
+/// Several rounds asked of a planner that has one.
+fn rounds(args: &PlanArgs, nullified: bool) -> Result<usize, Failure> {
+    if args.rounds > 1 && (nullified || args.planner == Some(Planner::Search)) {
+        return Err(Failure::input(
+            "--rounds goes with planner reman; leave it out for the others",
+        ));
+    }
+    Ok(args.rounds as usize)
 }
 
 /// # Errors

@@ -52,14 +52,7 @@ impl Trial<'_, '_> {
 fn made(run: &mut Run, planes: &[Plane]) -> Result<Attempt, PlanError> {
     let Run { start, options, ctx, report, clock, .. } = run;
     let clips = planes.iter().map(|p| Clip::global(*p)).collect();
-    let made = attempt(
-        start.setting,
-        start.coarse,
-        clips,
-        &start.preferred,
-        (options, Mending::Some),
-        ctx,
-    )?;
+    let made = start.attempt(clips, options, ctx)?;
     report.count_inaccessible(start.setting.job, &made.excess, &made.deficit);
     clock.lap("blocks");
     Ok(made)

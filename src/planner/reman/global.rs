@@ -6,7 +6,7 @@
 
 use super::candidates::{Element, cover};
 use super::clip::Clip;
-use super::round::{Attempt, Mending, attempt};
+use super::round::Attempt;
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Report, Run, Start};
 use crate::base::Direction;
@@ -26,7 +26,7 @@ const SHIFT_SHARE: f64 = 0.3;
 /// The best attempt under global planes.
 pub fn global_route(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError> {
     let Run { start, normals, options, report, clock, ctx } = run;
-    let Start { setting, coarse, .. } = start;
+    let Start { setting, .. } = start;
     let job = setting.job;
     let mut elements = start.bad_bases.clone();
     let mut planes = choose(setting, first, &elements, normals, options, report)?;
@@ -34,8 +34,7 @@ pub fn global_route(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError
     for round in 0..ROUNDS {
         ctx.check()?;
         let clips = planes.iter().map(|p| Clip::global(*p)).collect();
-        let made =
-            attempt(setting, coarse, clips, &start.preferred, (options, Mending::Some), ctx)?;
+        let made = start.attempt(clips, options, ctx)?;
         clock.lap("blocks");
         made.tell("global", round);
         if round == 0 {

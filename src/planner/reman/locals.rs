@@ -53,14 +53,7 @@ pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pla
     if (promised < least && best.is_valid(job)) || clips == best.clips {
         return Ok(None);
     }
-    let made = attempt(
-        start.setting,
-        start.coarse,
-        clips,
-        &start.preferred,
-        (options, Mending::Some),
-        ctx,
-    )?;
+    let made = start.attempt(clips, options, ctx)?;
     clock.lap("blocks");
     made.tell("local", 0);
     improved(run, made).map(Some)
@@ -90,14 +83,7 @@ pub fn improved(run: &mut Run, mut best: Attempt) -> Result<Attempt, PlanError> 
         }
         let mut clips = best.clips.clone();
         clips.extend(more.iter().map(|c| fine_clip(c, &cells, job.frame.dims)));
-        let made = attempt(
-            start.setting,
-            start.coarse,
-            clips,
-            &start.preferred,
-            (options, Mending::Some),
-            ctx,
-        )?;
+        let made = start.attempt(clips, options, ctx)?;
         clock.lap("blocks");
         made.tell("improved", round);
         if made.rank(job) >= best.rank(job) {

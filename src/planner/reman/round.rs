@@ -6,7 +6,7 @@ use super::cutting::cut_blocks;
 use super::printing::{Printing, Share, Wanted, print_blocks};
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
-use super::{MENDABLE_SHARE, Options};
+use super::{MENDABLE_SHARE, Options, Start};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
@@ -107,6 +107,20 @@ pub enum Mending {
     Some,
     /// Never: for a look at what planes are worth.
     None,
+}
+
+impl Start<'_> {
+    /// Makes the blocks under some planes on the job's own grid, printing again where a little is
+    /// left.
+    pub fn attempt(
+        &self,
+        clips: Vec<Clip>,
+        options: &Options,
+        ctx: &Ctx,
+    ) -> Result<Attempt, PlanError> {
+        let how = (options, Mending::Some);
+        attempt(self.setting, self.coarse, clips, &self.preferred, how, ctx)
+    }
 }
 
 /// Makes the blocks under some planes.
