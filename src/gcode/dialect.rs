@@ -58,6 +58,8 @@ pub struct Dialect {
     /// `T M6` and `G43 H`; else `T` alone changes the tool and applies its length.
     pub m6: bool,
     pub extrusion: Extrusion,
+    /// Whether runs of short moves may be written as arcs (`G2`, `G3` with I and J).
+    pub arcs: bool,
     /// Waits for a person.
     pub pause: u32,
     pub end: u32,
@@ -78,6 +80,7 @@ pub const RS274: Dialect = Dialect {
     modal: true,
     m6: true,
     extrusion: Extrusion::Codes,
+    arcs: false,
     pause: 0,
     end: 30,
 };
@@ -152,6 +155,7 @@ impl Dialect {
         let mut d = Dialect::named(&control.dialect)?;
         let post = &control.post;
         d.numbered = post.line_numbers.unwrap_or(d.numbered);
+        d.arcs = post.arcs;
         d.linear_digits = post.linear_digits.map_or(d.linear_digits, |n| n as usize);
         d.rotary_digits = post.rotary_digits.map_or(d.rotary_digits, |n| n as usize);
         Some(d)

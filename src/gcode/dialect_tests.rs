@@ -48,6 +48,7 @@ fn numbers_digits_and_offsets_are_as_asked_for() {
         line_numbers: Some(true),
         linear_digits: Some(4),
         rotary_digits: Some(5),
+        arcs: false,
     };
     for dialect in ["linuxcnc", "rrf"] {
         let (w, text) = posted(WORLDS[2].1, dialect, ask);

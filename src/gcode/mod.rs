@@ -7,8 +7,10 @@
 //! Guarantees: the same paths give the same bytes; a [`Checked`] program broke no [`Rule`], and
 //! only [`check_program`] makes one. Not guaranteed: that a control's own settings match
 //! the profile (tool lengths, G54 at zero); the way of the tool while rotary axes turn, beyond
-//! that it stands parked; arcs, which are neither written nor read.
+//! that it stands parked; helices, which are neither written nor read.
 
+mod arcs;
+mod beads;
 mod check;
 mod dialect;
 mod interpret;
@@ -26,10 +28,11 @@ mod mutation_tests;
 mod tests;
 mod words;
 
+pub use beads::{LEAST_FILLED, MOST_FILLED};
 pub use check::{check, check_program};
 pub use dialect::{Comments, Dialect, Dwell, Extrusion, RS274};
 pub use post::{PostError, post};
 pub use program::{Checked, Program};
 pub use report::{CheckReport, Finding, Rule, StepFigures};
-pub use sweep::{LEAST_FILLED, LEAST_SWEPT, MOST_FILLED};
+pub use sweep::LEAST_SWEPT;
 pub use words::{BadBlock, LONGEST, Word, read as read_block};

@@ -3,11 +3,12 @@
 //! Per step: spindle and extruder off, retract to the parking height in machine coordinates, tool
 //! change, rotary axes indexed there, then down to the safe height of the step, and its moves.
 
+use super::arcs::{Arc, MOST_MOVES, fit};
 use super::dialect::{Comments, Dialect, Dwell, number};
 use super::module::{Bead, Module};
 use super::program::Program;
-use crate::base::DVec3;
-use crate::machine::{NoPosture, Overtravel, Placement, RotaryAngles, Tool};
+use crate::base::{DVec2, DVec3};
+use crate::machine::{AxisValues, NoPosture, Overtravel, Placement, RotaryAngles, Tool};
 use crate::plan::{Job, Plan, StepKind};
 use crate::toolpath::{Move, MoveKind, Replay, Toolpath, ToolpathError, Toolpaths};
 use std::fmt::Write;
@@ -53,6 +54,7 @@ pub fn post(job: &Job, plan: &Plan, paths: &Toolpaths, digest: &str) -> Result<P
         job,
         dialect,
         out: String::new(),
+        starts: Vec::new(),
         rotary: job.machine.kinematics.home(),
         last: Modal::default(),
         block: 0,
@@ -61,14 +63,16 @@ pub fn post(job: &Job, plan: &Plan, paths: &Toolpaths, digest: &str) -> Result<P
     let mut holding = 0;
     for (path, center) in paths.all().iter().zip(&replay.contact_center) {
         let placement = job.machine.placement(&plan.holdings[path.holding], *center);
+        writer.starts.push(writer.out.len());
         if path.holding != holding {
             writer.refixture(path);
             holding = path.holding;
         }
         writer.step(path, &placement)?;
     }
+    let end = writer.out.len();
     writer.epilogue();
-    Ok(Program::from_text(writer.out))
+    Ok(Program::of_steps(writer.out, writer.starts, end))
 }
 
 /// Number of a tool: its place in the job's table, from 1.
@@ -88,6 +92,8 @@ struct Writer<'a> {
     job: &'a Job,
     dialect: Dialect,
     out: String,
+    /// Where each step begins in it.
+    starts: Vec<usize>,
     rotary: RotaryAngles,
     last: Modal,
     /// Number of the last numbered block.
@@ -282,14 +288,31 @@ impl Writer<'_> {
         let digits = self.dialect.linear_digits;
         let mut state = Bead::default();
         let mut before: Option<DVec3> = None;
+        let place = |m: &Move| job.machine.axes(placement, self.rotary, m.tip, tool);
+        let places: Vec<_> = path.moves.iter().map(place).collect();
+        let mut arc: Option<(usize, Arc)> = None;
         for (i, m) in path.moves.iter().enumerate() {
-            let axes = job.machine.axes(placement, self.rotary, m.tip, tool);
+            let axes = places[i];
             job.machine
                 .check_travel(placement, self.rotary, tool, &[m.tip])
                 .map_err(|source| PostError::Travel { step: path.step, source })?;
             let lay = m.kind == MoveKind::Deposit;
             if let Some(e) = &module {
                 self.switch(e, &mut state, lay);
+            }
+            if let Some((last, a)) = &arc {
+                if i == *last {
+                    self.arc(m, &places, i, a, module.as_ref());
+                    (before, arc) = (Some(m.tip), None);
+                }
+                continue;
+            }
+            if self.dialect.arcs && i > 0 {
+                let run = arcs_run(&path.moves, &places, i);
+                arc = fit(&run).map(|a| (i - 1 + a.moves, a));
+                if arc.is_some() {
+                    continue;
+                }
             }
             let words = [axes.x, axes.y, axes.z].map(|v| number(v, digits));
             if i == 0 {
@@ -362,6 +385,40 @@ impl Writer<'_> {
         (self.last.motion, self.last.feed) = (Some(1), None);
     }
 
+    /// An arc to the place of move `i`, about its centre relative to where it begins.
+    fn arc(
+        &mut self,
+        m: &Move,
+        places: &[AxisValues],
+        i: usize,
+        arc: &Arc,
+        module: Option<&Module>,
+    ) {
+        let digits = self.dialect.linear_digits;
+        let (from, to) = (places[i - arc.moves], places[i]);
+        let code = if arc.anticlockwise { 3 } else { 2 };
+        let (x, y) = (number(to.x, digits), number(to.y, digits));
+        let middle = [number(arc.center.x - from.x, digits), number(arc.center.y - from.y, digits)];
+        let mut text = format!("G{code} X{x} Y{y} I{} J{}", middle[0], middle[1]);
+        let lays = m.kind == MoveKind::Deposit;
+        if let Some(e) = module.filter(|_| lays).and_then(|e| e.filament(arc.length, m.feed)) {
+            let _ = write!(text, " E{}", number(e, E_DIGITS));
+        }
+        self.feed_word(m, &mut text);
+        (self.last.words[0], self.last.words[1]) = (Some(x), Some(y));
+        // Said anew every time: a control that lost one must not go straight.
+        self.last.motion = Some(code);
+        self.line(&text);
+    }
+
+    fn feed_word(&mut self, m: &Move, text: &mut String) {
+        let feed = number(m.feed.min(self.job.machine.control.max_feed_mm_min), 1);
+        if self.last.feed.as_ref() != Some(&feed) {
+            let _ = write!(text, " F{feed}");
+            self.last.feed = Some(feed);
+        }
+    }
+
     /// One block; words that repeat the last value are left out, a block without words too.
     fn motion(&mut self, m: &Move, words: &[Option<&String>; 3], filament: Option<f64>) {
         let code = if m.kind == MoveKind::Rapid { 0 } else { 1 };
@@ -381,11 +438,7 @@ impl Writer<'_> {
             let _ = write!(text, " E{}", number(e, E_DIGITS));
         }
         if code == 1 {
-            let feed = number(m.feed.min(self.job.machine.control.max_feed_mm_min), 1);
-            if self.last.feed.as_ref() != Some(&feed) {
-                let _ = write!(text, " F{feed}");
-                self.last.feed = Some(feed);
-            }
+            self.feed_word(m, &mut text);
         }
         let text = if self.dialect.modal && self.last.motion == Some(code) {
             text.trim_start().to_string()
@@ -396,6 +449,22 @@ impl Writer<'_> {
         self.line(&text);
     }
 }
+
+/// Where an arc that ends the move before `i` might lead: the points of a run of moves of one kind,
+/// at one feed and one height.
+fn arcs_run(moves: &[Move], places: &[AxisValues], i: usize) -> Vec<DVec2> {
+    let (first, z) = (&moves[i], places[i - 1].z);
+    let alike = |k: &usize| {
+        let m = &moves[*k];
+        m.kind == first.kind && m.feed == first.feed && (places[*k].z - z).abs() < LEVEL_MM
+    };
+    let works = matches!(first.kind, MoveKind::Cut | MoveKind::Deposit);
+    let run = (i..moves.len()).take_while(|k| works && alike(k)).take(MOST_MOVES);
+    std::iter::once(i - 1).chain(run).map(|k| DVec2::new(places[k].x, places[k].y)).collect()
+}
+
+/// Heights closer than this are one, mm: far below the last written digit.
+const LEVEL_MM: f64 = 1e-6;
 
 /// Digits of E words: 10⁻⁵ mm of filament are 2·10⁻⁴ mm of a fine bead.
 const E_DIGITS: usize = 5;

@@ -27,7 +27,7 @@ pub enum Rule {
     Gouge,
     /// Cutting stays over the step's region, beads in it.
     Astray,
-    /// No cut takes more than half its width much deeper than a roughing level.
+    /// No cut takes more than half its width much deeper than a roughing level, or straight down.
     Engagement,
     /// The edge sweeps the region and leaves no lump of it deeper than the surface tolerance;
     /// beads fill it; both as much as the plan says.

@@ -5,6 +5,7 @@
 //! sampled position. Not guaranteed: that a holder clears material which the step itself removes
 //! later; contact shallower than the stated depth.
 
+use super::beads::beads;
 use super::interpret::{Gait, MOST_FINDINGS, Motion};
 use super::report::{Finding, Rule, StepFigures};
 use super::skyline::Skyline;
@@ -18,21 +19,17 @@ use crate::voxel::{BitGrid, Frame};
 /// reaches it; passes a stepover apart leave ridges and corners, which the surface tolerance covers.
 pub const LEAST_SWEPT: f64 = 0.98;
 
-/// Smallest fraction of an additive region within reach of a bead. Specks and walls thinner than
-/// a bead get none.
-pub const LEAST_FILLED: f64 = 0.90;
-
-/// Beads may exceed the region's volume by this factor: they overlap where outlines are narrow.
-pub const MOST_FILLED: f64 = 1.15;
-
 /// Fewest voxels that count as a lump left over: single ones are corners of the staircase.
 const LEAST_LUMP: usize = 8;
 
 /// Roughing levels that a cut may be deep: one, and terraces and corners that another pass left.
 const LEVELS: f64 = 2.0;
 
+/// Material that the whole end may enter straight down, beyond what a voxel's height may hide, mm.
+const PLUNGE_MM: f64 = 0.1;
+
 /// Slack in mm for positions written with three decimals.
-const WRITTEN_MM: f64 = 0.01;
+pub(super) const WRITTEN_MM: f64 = 0.01;
 
 /// Everything a step is judged against.
 pub(super) struct Scene<'a> {
@@ -71,24 +68,24 @@ pub(super) fn judge(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Find
 }
 
 /// Positions along a move, at most `apart` mm from each other, both ends included.
-fn samples(m: &Motion, apart: f64) -> impl Iterator<Item = DVec3> + use<> {
+pub(super) fn samples(m: &Motion, apart: f64) -> impl Iterator<Item = DVec3> + use<> {
     let from = m.from.unwrap_or(m.to);
     let n = (from.distance(m.to) / apart).ceil().max(1.0) as usize;
     let (first, to) = (if m.from.is_some() { 0 } else { n }, m.to);
     (first..=n).map(move |i| from.lerp(to, i as f64 / n as f64))
 }
 
-struct Told {
-    findings: Vec<Finding>,
+pub(super) struct Told {
+    pub findings: Vec<Finding>,
     rule: Rule,
 }
 
 impl Told {
-    fn new(rule: Rule) -> Told {
+    pub fn new(rule: Rule) -> Told {
         Told { findings: Vec::new(), rule }
     }
 
-    fn tell(&mut self, line: usize, message: String) {
+    pub fn tell(&mut self, line: usize, message: String) {
         if self.findings.len() < MOST_FINDINGS {
             self.findings.push(Finding { line, rule: self.rule, message });
         }
@@ -145,6 +142,11 @@ fn leaves_straight(plane: &ImagePlane, m: &Motion) -> bool {
         let across = plane.across(m.to - from).length();
         plane.height(m.to - from) >= 0.0 && across <= WRITTEN_MM
     })
+}
+
+/// Straight down along the tool axis.
+fn sinks_straight(plane: &ImagePlane, from: DVec3, to: DVec3) -> bool {
+    plane.height(to - from) < 0.0 && plane.across(to - from).length() <= WRITTEN_MM
 }
 
 /// The lowest tip in each (u, v) cell.
@@ -286,7 +288,8 @@ fn lump(scene: &Scene, motions: &[Motion], missed: &[DVec3]) -> Finding {
     Finding { line: nearest.map_or(scene.line, |m| m.line), rule: Rule::Volume, message }
 }
 
-/// Cuts that take more than half the cutter's width deeper than the roughing levels allow.
+/// Cuts that take more than half the cutter's width deeper than the roughing levels allow, and
+/// ways straight down into material with more than half of the end.
 fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowest) -> Vec<Finding> {
     let (h, tool) = (scene.frame.pitch, scene.tool);
     let radius = tool.active_radius();
@@ -308,6 +311,16 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
         .collect();
     let mut told = Told::new(Rule::Engagement);
     for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
+        if m.from.is_some_and(|from| sinks_straight(&over.plane, from, m.to)) {
+            let (uv, z) = (cells.plane.across(m.to), cells.plane.height(m.to));
+            let deep = |(i, j, lower): &&(i64, i64, f64)| {
+                let c = cells.cell_of(uv + DVec2::new(*i as f64, *j as f64) * h);
+                c.is_some_and(|c| tops[c[0] + cells.n[0] * c[1]] - z - lower > h + PLUNGE_MM)
+            };
+            if 2 * edge.iter().filter(deep).count() > edge.len() {
+                told.tell(m.line, "the cutter goes straight down into material".into());
+            }
+        }
         let (mut deepest, mut area) = (0.0f64, 0.0);
         for p in samples(m, h / 2.0) {
             let (uv, z) = (cells.plane.across(p), cells.plane.height(p));
@@ -373,82 +386,4 @@ fn footprint(cells: &Lowest, points: &[DVec3], reach: f64) -> Vec<bool> {
             })
         })
         .collect()
-}
-
-fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
-    let (h, frame, d) = (scene.frame.pitch, scene.frame, scene.step.direction.vec());
-    let process = &scene.tool.process;
-    let region = &scene.step.region;
-    let volume = region.count() as f64 * frame.voxel_volume();
-    let mut figures = StepFigures { region_mm3: volume, ..StepFigures::default() };
-    let mut laid = BitGrid::new(frame.dims);
-    let mut astray = Told::new(Rule::Astray);
-    let within = process.path_mm + h;
-    // The rate is constant: a slower bead is a thicker one.
-    let rate = scene.machine.extruder.as_ref().map_or(0.0, |e| 60.0 * e.volumetric_mm3_s);
-    for m in motions.iter().filter(|m| m.gait == Gait::Deposit) {
-        let length = m.from.map_or(0.0, |f| f.distance(m.to));
-        figures.working_mm += length;
-        figures.deposited_mm3 += if m.feed > 0.0 { length * rate / m.feed } else { 0.0 };
-        let mut away = None;
-        for p in samples(m, h / 2.0) {
-            let middle = p - d * (process.layer_mm / 2.0);
-            if let Some(v) = frame.voxel_at(middle) {
-                laid.set(v, true);
-            }
-            if !any_near(region, frame, middle, within) {
-                away = away.or(Some(p));
-            }
-        }
-        if let Some(p) = away {
-            astray.tell(m.line, format!("a bead at ({p:.2}), outside the step's region"));
-        }
-    }
-    let infill = process.infill.clamp(0.05, 1.0);
-    // Half the distance between infill lines, plus what sampling on the grid can lose.
-    let reach = process.path_mm / infill / 2.0 + process.layer_mm + 2.0 * h;
-    let filled =
-        region.iter_ones().filter(|v| any_near(&laid, frame, frame.center(*v), reach)).count();
-    figures.coverage = filled as f64 / region.count().max(1) as f64;
-    let mut findings = astray.findings;
-    let mut volume_finding = |message: String| {
-        findings.push(Finding { line: scene.line, rule: Rule::Volume, message });
-    };
-    if figures.coverage < LEAST_FILLED {
-        volume_finding(format!(
-            "beads reach {:.1} % of the {volume:.0} mm³ to add, less than {:.0} %",
-            100.0 * figures.coverage,
-            100.0 * LEAST_FILLED
-        ));
-    }
-    if figures.deposited_mm3 > MOST_FILLED * volume {
-        volume_finding(format!(
-            "beads hold {:.0} mm³, more than the {volume:.0} mm³ to add",
-            figures.deposited_mm3
-        ));
-    }
-    (figures, findings)
-}
-
-/// Whether a voxel's centre lies within `reach` mm of a point.
-fn any_near(grid: &BitGrid, frame: &Frame, p: DVec3, reach: f64) -> bool {
-    let g = frame.grid_from_world(p).floor();
-    let at = [g.x as i64, g.y as i64, g.z as i64];
-    if grid.get_or_empty(at) && reach >= frame.pitch {
-        return true;
-    }
-    let n = (reach / frame.pitch).ceil() as i64;
-    for k in -n..=n {
-        for j in -n..=n {
-            for i in -n..=n {
-                let v = [at[0] + i, at[1] + j, at[2] + k];
-                if grid.get_or_empty(v)
-                    && frame.center(v.map(|c| c as usize)).distance_squared(p) <= reach * reach
-                {
-                    return true;
-                }
-            }
-        }
-    }
-    false
 }

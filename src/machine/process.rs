@@ -191,11 +191,20 @@ pub struct Writing {
     /// Digits after the point of rotary words, 2 to 6; without it the dialect decides.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotary_digits: Option<u32>,
+    /// Runs of short moves across the tool axis are written as arcs, G2 and G3.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub arcs: bool,
 }
 
 impl Default for Writing {
     fn default() -> Self {
-        Writing { work_offset: 54, line_numbers: None, linear_digits: None, rotary_digits: None }
+        Writing {
+            work_offset: 54,
+            line_numbers: None,
+            linear_digits: None,
+            rotary_digits: None,
+            arcs: false,
+        }
     }
 }
 

@@ -4,18 +4,20 @@
 //! tool is free of the output state and the fixed points, `top` the height at which its edge first meets
 //! the region, `floor` the lowest height worth going to. Roughing takes levels a step-down apart, contour
 //! parallel, at z = max(level, H + stock, floor); finishing follows max(H, floor) a scallop stepover
-//! apart; rest cutting goes once more where region is still uncovered, with H without margin.
+//! apart; rest cutting goes once more where region is still uncovered, with H without margin. Into
+//! material the tip goes by a ramp along the pass (see `ramp`).
 //!
 //! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells);
 //! no pass is deeper than a step-down under what was cut beside it; rapids only at the safe height
 //! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`), but for crevices
-//! that only the voxels leave room for. Not guaranteed: ramped entries, a constant engagement.
+//! that only the voxels leave room for. Not guaranteed: a constant engagement.
 
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, steepness};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
+use super::ramp::{LEAST_MM, ramp};
 use crate::base::{DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
@@ -412,22 +414,21 @@ impl<'a> Stage<'a> {
         }
         let at = self.at.map(|(c, _)| c);
         for chain in nearest_order(chains(&self.lattice, set, stepover), at) {
-            let first = chain[0];
-            if !self.link(first, stepover, z, feed) {
-                let i = self.lattice.index(first);
-                self.enter(first, f64::from(enter(i)), f64::from(z(i)));
+            if !self.link(chain[0], stepover, z) {
+                let way = ramp(&self.lattice, &chain, z, enter, self.safe);
+                self.enter(chain[0], way.from, f64::from(z(self.lattice.index(chain[0]))));
             }
-            for c in &chain[1..] {
-                let i = self.lattice.index(*c);
-                self.cut_to(*c, f64::from(z(i)), feed);
+            self.sink(&chain, z, enter, feed);
+            for k in 1..chain.len() {
+                self.cut_to(&chain[k..], z, enter, feed);
             }
         }
         self.retract();
     }
 
-    /// Goes to the first cell of the next chain at cutting height when it is near and the way is
-    /// free; false when a retract is needed.
-    fn link(&mut self, to: Cell, stepover: f64, z: &dyn Fn(usize) -> f32, feed: f64) -> bool {
+    /// Goes over the first cell of the next chain, no lower than what lies on the way, when it is
+    /// near and the way is free; false when a retract is needed.
+    fn link(&mut self, to: Cell, stepover: f64, z: &dyn Fn(usize) -> f32) -> bool {
         /// Chains farther apart than this many stepovers are linked over the safe height.
         const FAR: f64 = 4.0;
         let Some((from, z0)) = self.at else { return false };
@@ -450,15 +451,13 @@ impl<'a> Stage<'a> {
         if over > z0.max(f64::from(z(self.lattice.index(to)))) + self.process.step_down {
             return false;
         }
-        self.push(MoveKind::Cut, from, over, feed);
-        self.push(MoveKind::Cut, to, over, feed);
-        let end = f64::from(z(self.lattice.index(to)));
-        let down = if over - end > SAME_HEIGHT_MM { self.process.plunge_feed } else { feed };
-        self.push(MoveKind::Cut, to, end, down);
+        self.push(MoveKind::Cut, from, over, self.process.feed);
+        self.push(MoveKind::Cut, to, over, self.process.feed);
         true
     }
 
-    /// Over the safe height to a cell, and down to `z`; material begins below `from`.
+    /// Over the safe height to a cell, and down to where material begins, at `from`; `z` is the
+    /// height of the pass there.
     fn enter(&mut self, cell: Cell, from: f64, z: f64) {
         self.retract();
         self.push(MoveKind::Rapid, cell, self.safe, 0.0);
@@ -466,7 +465,6 @@ impl<'a> Stage<'a> {
         if near < self.safe {
             self.push(MoveKind::Approach, cell, near, self.process.approach_feed);
         }
-        self.push(MoveKind::Cut, cell, z, self.process.plunge_feed);
     }
 
     fn retract(&mut self) {
@@ -478,18 +476,46 @@ impl<'a> Stage<'a> {
         self.at = None;
     }
 
-    /// Cuts to a neighbouring cell. On steep ground the tip first rises, then crosses, then falls:
-    /// a slanted move would pass through the step that the lattice resolves only at its cells.
-    fn cut_to(&mut self, cell: Cell, z: f64, feed: f64) {
+    /// From above the first cell of a pass down to its height, by a ramp through material.
+    fn sink(
+        &mut self,
+        pass: &[Cell],
+        z: &dyn Fn(usize) -> f32,
+        open: &dyn Fn(usize) -> f32,
+        feed: f64,
+    ) {
+        let Some((_, high)) = self.at else { return };
+        let end = f64::from(z(self.lattice.index(pass[0])));
+        if high - end <= LEAST_MM {
+            return self.push(MoveKind::Cut, pass[0], end, feed);
+        }
+        let down = ramp(&self.lattice, pass, z, open, high);
+        self.push(MoveKind::Cut, pass[0], down.from, self.process.plunge_feed);
+        for (c, h) in down.way {
+            self.push(MoveKind::Cut, c, h, feed);
+        }
+        self.push(MoveKind::Cut, pass[0], end, self.process.plunge_feed);
+    }
+
+    /// Cuts to the neighbouring cell at which the rest of a pass begins. On steep ground the tip first
+    /// rises, then crosses, then falls: a slanted move would pass through the step that the lattice
+    /// resolves only at its cells.
+    fn cut_to(
+        &mut self,
+        rest: &[Cell],
+        z: &dyn Fn(usize) -> f32,
+        open: &dyn Fn(usize) -> f32,
+        feed: f64,
+    ) {
         let Some((from, z0)) = self.at else { return };
-        if (z - z0).abs() > 2.0 * self.lattice.s {
-            let over = z.max(z0);
+        let to = f64::from(z(self.lattice.index(rest[0])));
+        if (to - z0).abs() > 2.0 * self.lattice.s {
+            let over = to.max(z0);
             self.push(MoveKind::Cut, from, over, feed);
-            self.push(MoveKind::Cut, cell, over, feed);
-            let down = if z < over { self.process.plunge_feed } else { feed };
-            self.push(MoveKind::Cut, cell, z, down);
+            self.push(MoveKind::Cut, rest[0], over, feed);
+            self.sink(rest, z, open, feed);
         } else {
-            self.push(MoveKind::Cut, cell, z, feed);
+            self.push(MoveKind::Cut, rest[0], to, feed);
         }
     }
 

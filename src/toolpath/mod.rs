@@ -9,6 +9,7 @@
 //! the same plan gives the same paths at any thread count. Not guaranteed: machine limits, which
 //! the post checks; surfaces finer than the voxels.
 
+mod comb;
 mod contour;
 mod cross;
 mod drop;
@@ -21,6 +22,7 @@ mod piece;
 mod polygons;
 mod print;
 mod process;
+mod ramp;
 mod slice;
 mod timing;
 #[cfg(test)]

@@ -68,6 +68,11 @@ impl<'a> Piece<'a> {
         to_paths(&section(grid, self.frame, &self.lattice, z))
     }
 
+    /// The voxels' own outline at a height.
+    pub fn coarse(&self, z: f64) -> PathsD {
+        self.voxels(self.region, z)
+    }
+
     /// The outline at a height, holes clockwise.
     pub fn outline(&self, z: f64) -> PathsD {
         let Some(target) = self.target.as_ref().and_then(|t| t.at(z)) else {

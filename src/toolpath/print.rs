@@ -11,13 +11,14 @@
 //! what is thinner than a bead gets none, and its volume is reported.
 
 use super::image::{Image, Lattice};
-use super::infill::{Fill, Line, fill, hatch};
+use super::comb::comb;
+use super::infill::{Fill, Line, fill, hatch, length as length_of};
 use super::mill::{Free, Work};
 use super::moves::{Figures, Move, MoveKind};
 use super::piece::{Piece, outlines};
-use super::polygons::{difference, intersection, of_paths, offset, simple, union};
+use super::polygons::{clip_lines, difference, intersection, of_paths, offset, simple, union};
 use super::process::{CLEARANCE_MM, Printing};
-use super::slice::area;
+use super::slice::{Outline, area};
 use crate::base::{DVec2, DVec3};
 use crate::machine::Seam;
 use clipper2_rust::PathsD;
@@ -35,6 +36,16 @@ pub const CHORD_MM: f64 = 0.005;
 /// than twice the feed, higher ones would not bond.
 const LAST_LAYER: f64 = 0.5;
 
+/// Least mean width of a piece that gets a single bead, in beads: below, more would be laid than
+/// twice what is wanted.
+const LEAST_WIDTH: f64 = 0.5;
+
+/// Corners of a straight thin piece at most; the search for its ends is quadratic.
+const MOST_CORNERS: usize = 200;
+
+/// How far the outline that travels follow may be simplified, mm: nothing is laid on it.
+const COMB_MM: f64 = 0.05;
+
 pub(super) struct Printed {
     pub moves: Vec<Move>,
     pub safe_height: f64,
@@ -48,6 +59,8 @@ struct Layer {
     loops: Vec<Line>,
     fill: Vec<Line>,
     thin_mm3: f64,
+    /// What travels keep inside of.
+    around: Vec<Outline>,
 }
 
 /// Height of the middle of a layer, its tip's height and its thickness.
@@ -94,31 +107,42 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     let piece = Piece::new(work, lattice, &plane);
     let high = piece.top(high, lo, hi).unwrap_or(high);
     let slabs = slabs(low, high, process);
-    let sections: Vec<PathsD> =
-        slabs.par_iter().map(|s| simple(&piece.outline(s.middle()), CHORD_MM)).collect();
-    let inner: Vec<PathsD> = sections.par_iter().map(|s| inside(s, process)).collect();
-    let layers: Vec<Layer> = (0..slabs.len())
-        .into_par_iter()
-        .map(|k| {
-            let bare = bare(&inner, k, process);
-            beads(&sections[k], &inner[k], &bare, process, slabs[k], k)
-        })
-        .collect();
+    let mut layers = layers(&slabs, process, |z| piece.outline(z));
+    if layers.iter().all(|l| l.loops.is_empty() && l.fill.is_empty()) {
+        // A speck of which the meshes leave nothing as wide as a bead: the plan has it all the same.
+        layers = self::layers(&slabs, process, |z| piece.coarse(z));
+    }
     let thin_mm3 = layers.iter().map(|l| l.thin_mm3).sum::<f64>();
     let free = Free::around(work, work.before, h);
     let heights = free.heights(work.tool, 0.0, 0.0);
     let blocked = heights.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let top = high + process.layer;
     let safe = free.state_top.max(f64::from(blocked)).max(top) + CLEARANCE_MM;
-    let mut head = Head { heights, safe, process: *process, at: None, moves: Vec::new() };
+    let mut head = Head { heights, safe, process: *process, at: None, moves: Vec::new(), around: Vec::new() };
     for layer in layers {
         head.process.feed = layer.feed;
+        head.around = layer.around;
         head.lay(layer.loops, layer.z);
         head.lay(layer.fill, layer.z);
     }
     head.leave();
     let figures = Figures { thin_mm3, ..Figures::default() };
     Printed { moves: head.moves, safe_height: safe, figures }
+}
+
+fn layers(
+    slabs: &[Slab],
+    process: &Printing,
+    outline: impl Fn(f64) -> PathsD + Sync,
+) -> Vec<Layer> {
+    let sections: Vec<PathsD> =
+        slabs.par_iter().map(|s| simple(&outline(s.middle()), CHORD_MM)).collect();
+    let inner: Vec<PathsD> = sections.par_iter().map(|s| inside(s, process)).collect();
+    let layer = |k: usize| {
+        let bare = bare(&inner, k, process);
+        beads(&sections[k], &inner[k], &bare, process, slabs[k], k)
+    };
+    (0..slabs.len()).into_par_iter().map(layer).collect()
 }
 
 /// What the perimeters leave to fill.
@@ -180,10 +204,45 @@ fn beads(
         lines.extend(hatch(&of_paths(bare), w, !layer.is_multiple_of(2), w / 2.0));
     }
     let opened = offset(&offset(section, -first), first);
-    let thin = area(&outlines(section)) - area(&outlines(&opened));
+    let thin = difference(section, &opened);
+    let (single, alone) = spines(&thin, w);
+    lines.extend(single);
+    let thin = area(&outlines(&thin)) - alone;
     let scale = process.layer / slab.height;
     let feed = process.feed * scale;
-    Layer { z: slab.tip, feed, loops, fill: lines, thin_mm3: thin.max(0.0) * slab.height }
+    // Just outside the outermost bead, so that its ends lie within.
+    let around = simple(&offset(section, -0.8 * first), COMB_MM);
+    let thin_mm3 = thin.max(0.0) * slab.height;
+    Layer { z: slab.tip, feed, loops, fill: lines, thin_mm3, around: of_paths(&around) }
+}
+
+/// Single beads along straight pieces too thin for a perimeter, and the area they stand for.
+fn spines(thin: &PathsD, w: f64) -> (Vec<Line>, f64) {
+    let (mut lines, mut sum) = (Vec::new(), 0.0);
+    for o in of_paths(thin) {
+        let filled = area(std::slice::from_ref(&o));
+        let mut ends = (DVec2::ZERO, DVec2::ZERO, 0.0);
+        // Pieces with more corners are not straight.
+        for (i, p) in o.iter().enumerate().take(MOST_CORNERS) {
+            for q in &o[..i] {
+                if p.distance(*q) > ends.2 {
+                    ends = (*q, *p, p.distance(*q));
+                }
+            }
+        }
+        let (a, b, length) = ends;
+        if o.len() > MOST_CORNERS || length < w || filled < LEAST_WIDTH * w * length {
+            continue;
+        }
+        let back = (b - a) * (w / 2.0 / length).min(0.25);
+        let line = vec![a + back, b - back];
+        let within: f64 = clip_lines(std::slice::from_ref(&line), thin).iter().map(length_of).sum();
+        if within > 0.9 * length_of(&line) {
+            lines.push(line);
+            sum += filled;
+        }
+    }
+    (lines, sum)
 }
 
 /// Lays lines one after the other, nearest first.
@@ -193,6 +252,8 @@ struct Head {
     process: Printing,
     at: Option<(DVec2, f64)>,
     moves: Vec<Move>,
+    /// Outlines of the running layer, half a bead inside.
+    around: Vec<Outline>,
 }
 
 impl Head {
@@ -235,12 +296,25 @@ impl Head {
     }
 
     fn travel(&mut self, to: DVec2, z: f64) {
-        let feed = self.process.travel_feed;
         let Some((from, z0)) = self.at else {
+            let feed = self.process.travel_feed;
             self.push(MoveKind::Rapid, to, self.safe, 0.0);
             self.push(MoveKind::Approach, to, z, feed);
             return;
         };
+        if z == z0 && from.distance(to) > 2.0 * self.process.width {
+            // Over what is already laid, where the ooze of a long travel does no harm.
+            for via in comb(from, to, &self.around) {
+                self.leg(via, z);
+            }
+        }
+        self.leg(to, z);
+    }
+
+    /// Straight to a point, over what would be met on the way.
+    fn leg(&mut self, to: DVec2, z: f64) {
+        let Some((from, z0)) = self.at else { return };
+        let feed = self.process.travel_feed;
         let lattice = self.heights.lattice;
         let n = (from.distance(to) / (lattice.s / 2.0)).ceil().max(1.0);
         let blocked = (0..=n as usize)

@@ -18,8 +18,8 @@ const SAME_LAYER_MM: f64 = 0.01;
 /// Error of a layer's thickness from written positions, mm.
 const WRITTEN_MM: f64 = 0.002;
 
-/// Heights along its direction at which a step adds something wide enough that a bead must be laid
-/// there: a section less than two beads wide may get none, and where nothing is added at all,
+/// Heights along its direction at which a step adds something wide enough, and deep enough inside
+/// a body, that a bead must be laid there: a section less than two beads wide may get none, and where nothing is added at all,
 /// another body begins above, on a floor of its own.
 #[derive(Default)]
 pub(super) struct Storeys {
@@ -42,7 +42,11 @@ impl Storeys {
         });
         let inside = |p: DVec3| frame.voxel_at(p).is_some_and(|v| step.region.get(v));
         let wide = |p: &DVec3| around.iter().all(|a| inside(*p + *a));
-        let centers = step.region.iter_ones().map(|v| frame.center(v));
+        // The exact face of a body lies up to a voxel from its voxels': a first or last layer that
+        // the voxels have may not be one of the part.
+        let along = frame.pitch * plane.d;
+        let within = |p: &DVec3| inside(*p + along) && inside(*p - along);
+        let centers = step.region.iter_ones().map(|v| frame.center(v)).filter(within);
         let heights: Vec<f64> = centers.filter(wide).map(|p| plane.height(p)).collect();
         let Some(low) = heights.iter().copied().reduce(f64::min) else {
             return Storeys::default();

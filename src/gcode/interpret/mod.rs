@@ -3,6 +3,7 @@
 //! Each `M6` begins the plan's next step. Blocks are executed word group by word group; a block that
 //! mixes what a control would have to order (codes and motion, turning and travelling) is refused.
 
+mod arc;
 mod extruder;
 
 use crate::base::{DVec3, Direction};
@@ -218,6 +219,7 @@ impl<'a> Interpreter<'a> {
         let mut turns = [None; 2];
         let (mut gs, mut ms) = (Vec::new(), Vec::new());
         let (mut dwell, mut length, mut filament) = (None, None, None);
+        let mut center = [None; 2];
         for w in words {
             match w.letter {
                 'G' | 'M' => match code(w.value) {
@@ -239,6 +241,8 @@ impl<'a> Interpreter<'a> {
                 'T' => self.chosen = Some(w.value),
                 'P' => dwell = Some(w.value),
                 'H' => length = Some(w.value),
+                'I' if self.dialect.arcs => center[0] = Some(w.value),
+                'J' if self.dialect.arcs => center[1] = Some(w.value),
                 'E' if self.dialect.extrusion == Extrusion::Axis => filament = Some(w.value),
                 'N' => {}
                 l if l == rotary[0] => turns[0] = Some(w.value),
@@ -261,6 +265,7 @@ impl<'a> Interpreter<'a> {
         for g in &gs {
             match g {
                 0 | 1 => self.motion = Some(*g),
+                2 | 3 if self.dialect.arcs => self.motion = Some(*g),
                 4 => {
                     let unit = match self.dialect.dwell {
                         Dwell::Seconds => 1.0,
@@ -286,8 +291,11 @@ impl<'a> Interpreter<'a> {
         if moves && gs.contains(&4) {
             return self.find(Rule::Syntax, "a dwell with motion");
         }
+        if center != [None; 2] && (!moves || !matches!(self.motion, Some(2 | 3))) {
+            return self.find(Rule::Syntax, "a centre (I, J) without an arc");
+        }
         if moves {
-            self.travel(axes, turns, absolute, filament);
+            self.travel(axes, turns, absolute, filament, center);
         } else if let Some(e) = filament {
             self.filament(e);
         }
@@ -388,6 +396,7 @@ impl<'a> Interpreter<'a> {
         turns: [Option<f64>; 2],
         absolute: bool,
         filament: Option<f64>,
+        center: [Option<f64>; 2],
     ) {
         let offset = self.machine.control.post.work_offset;
         let mut needed = self.dialect.needed.iter().chain([&offset]);
@@ -418,6 +427,9 @@ impl<'a> Interpreter<'a> {
         let gauge = tool.gauge_mm();
         if turns.iter().any(Option::is_some) {
             return self.turn(axes, turns, motion, step);
+        }
+        if matches!(motion, 2 | 3) {
+            return self.arc(axes, center, motion, filament);
         }
         let before = self.tip(step, gauge);
         let lift = [0.0, 0.0, gauge];
