@@ -149,6 +149,18 @@ pub struct PlanArgs {
     /// Write out.gcode even when the plan does not verify
     #[arg(long)]
     pub post_unverified: bool,
+    /// Write besides out.gcode each step as a program of its own, programs/NN-KIND.gcode
+    #[arg(long, value_enum, value_name = "HOW", default_value = "one")]
+    pub program: ProgramArg,
+}
+
+/// How many files a program goes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ProgramArg {
+    /// The whole in out.gcode
+    One,
+    /// Each step by itself as well
+    Steps,
 }
 
 #[derive(Debug, Args)]

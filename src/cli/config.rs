@@ -50,6 +50,8 @@ pub struct PlanConfig {
     pub time_limit_s: Option<f64>,
     pub seed: u64,
     pub post_unverified: bool,
+    /// Each step is written as a program of its own as well.
+    pub program_steps: bool,
     /// What planner nullify is told; None for the others.
     pub nullify: Option<nullify::Options>,
     /// What planner search is told; None for the others.
@@ -177,6 +179,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         time_limit_s: args.time_limit,
         seed: args.seed,
         post_unverified: args.post_unverified,
+        program_steps: args.program == args::ProgramArg::Steps,
         nullify: nullified.then(|| nullify::Options {
             length: args.tool_length,
             objective: match args.objective {

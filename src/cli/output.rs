@@ -11,6 +11,9 @@ pub const PLAN: &str = "plan.json";
 pub const PROGRAM: &str = "out.gcode";
 pub const REPORT: &str = "report.html";
 pub const STATES: &str = "states";
+/// One program a step.
+pub const PROGRAMS: &str = "programs";
+pub const DEVIATION: &str = "deviation.ply";
 
 pub const ANALYSIS: &str = "analysis.json";
 pub const COLOURS: &str = "surface.ply";
@@ -26,7 +29,11 @@ pub struct Kind {
     ours: &'static [&'static str],
 }
 
-const PLAN_DIR: Kind = Kind { noun: "plan", marker: PLAN, ours: &[PLAN, PROGRAM, REPORT, STATES] };
+const PLAN_DIR: Kind = Kind {
+    noun: "plan",
+    marker: PLAN,
+    ours: &[PLAN, PROGRAM, REPORT, STATES, PROGRAMS, DEVIATION],
+};
 pub const ANALYSIS_DIR: Kind =
     Kind { noun: "analysis", marker: ANALYSIS, ours: &[ANALYSIS, COLOURS] };
 

@@ -19,6 +19,8 @@ use hmplan::verify::Verdict;
 pub struct Posted {
     /// None when the program may not be handed out.
     pub text: Option<String>,
+    /// Each step as a program of its own, when the whole may be handed out.
+    pub steps: Vec<String>,
     pub step_seconds: Vec<f64>,
     /// Volumes that the program lays and removes, mm³.
     pub deposited_mm3: f64,
@@ -153,9 +155,10 @@ fn failure(e: PlanError) -> Failure {
 pub fn post(job: &Job, verdict: &Verdict, regardless: bool, ctx: &Ctx) -> Result<Posted, Failure> {
     match attempt(job, verdict, ctx) {
         Ok((program, report)) => {
-            let text = (report.passed() || regardless).then(|| program.text().to_string());
+            let fit = report.passed() || regardless;
             Ok(Posted {
-                text,
+                text: fit.then(|| program.text().to_string()),
+                steps: if fit { program.steps() } else { Vec::new() },
                 step_seconds: report.steps.iter().map(|s| s.time_s).collect(),
                 deposited_mm3: report.steps.iter().map(|s| s.deposited_mm3).sum(),
                 removed_mm3: report.steps.iter().map(|s| s.removed_mm3).sum(),

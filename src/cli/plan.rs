@@ -113,6 +113,16 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     if let Some(text) = &posted.text {
         draft.write(output::PROGRAM, |out| out.write_all(text.as_bytes()))?;
     }
+    if config.program_steps {
+        for (i, (text, step)) in posted.steps.iter().zip(&plan.steps).enumerate() {
+            let kind = match step.kind {
+                StepKind::Subtractive => "subtractive",
+                StepKind::Additive => "additive",
+            };
+            let name = format!("{}/{:02}-{kind}.gcode", output::PROGRAMS, i + 1);
+            draft.write(&name, |out| out.write_all(text.as_bytes()))?;
+        }
+    }
     draft.write(output::PLAN, |out| out.write_all(&file.to_json()))?;
     ctx.check()?;
     draft.publish()?;

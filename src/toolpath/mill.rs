@@ -17,7 +17,7 @@ use super::exact::{Exact, steepness};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
-use super::ramp::{LEAST_MM, ramp};
+use super::ramp::{LEAST_MM, Stock, ramp};
 use crate::base::{DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
@@ -149,6 +149,8 @@ struct Stage<'a> {
     /// Heights over the meshes, where the job has them.
     meshes: Option<Exact>,
     edge: Profile,
+    /// What is still to cut.
+    stock: Stock,
     /// Lowest tip height cut so far, per cell; +∞ where nothing was.
     done: Vec<f32>,
     safe: f64,
@@ -192,7 +194,9 @@ impl<'a> Stage<'a> {
         let (fine, exact) = (heights(half, h / 2.0), heights(0.0, 0.0));
         let highest = |i: &Image| i.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let safe = free.state_top.max(f64::from(highest(&fine))) + CLEARANCE_MM;
+        let stock = Stock::new(&tops, &edge, h / 2.0);
         Stage {
+            stock,
             top: edge.dilate(&tops, lattice, f64::NEG_INFINITY),
             floor: disc.dilate(&bottoms, lattice, f64::NEG_INFINITY).negated(),
             fine,
@@ -259,9 +263,8 @@ impl<'a> Stage<'a> {
                 let fresh = z(i) < ceiling[i].min(last) - same;
                 set[i] = fresh && (bottom[i] >= level || level < near[i]);
             }
-            let enter = |i: usize| open(i).min(last).max(z(i));
             let stepover = self.process.stepover / self.lattice.s;
-            self.passes(&set, stepover, &z, &enter, self.process.feed);
+            self.passes(&set, stepover, &z, self.process.feed);
             for &i in due.iter().filter(|i| set[**i]) {
                 self.done[i] = self.done[i].min(z(i));
             }
@@ -300,12 +303,10 @@ impl<'a> Stage<'a> {
         self.process.step_down = ridge.min(rough);
         self.levels(&steep, &ceiling, &near);
         self.process.step_down = rough;
-        let near = self.near();
         let flat: Vec<bool> = (0..due.len()).map(|i| due[i] && steep[i].is_infinite()).collect();
         let stepover = ridge / self.lattice.s;
         let z = |i: usize| bottom[i];
-        let enter = |i: usize| ceiling[i].min(near[i].max(bottom[i]));
-        self.passes(&flat, stepover, &z, &enter, self.process.feed);
+        self.passes(&flat, stepover, &z, self.process.feed);
         for i in (0..bottom.len()).filter(|i| flat[*i]) {
             self.done[i] = self.done[i].min(bottom[i]);
         }
@@ -406,7 +407,6 @@ impl<'a> Stage<'a> {
         set: &[bool],
         stepover: f64,
         z: &dyn Fn(usize) -> f32,
-        enter: &dyn Fn(usize) -> f32,
         feed: f64,
     ) {
         if !set.contains(&true) {
@@ -415,12 +415,12 @@ impl<'a> Stage<'a> {
         let at = self.at.map(|(c, _)| c);
         for chain in nearest_order(chains(&self.lattice, set, stepover), at) {
             if !self.link(chain[0], stepover, z) {
-                let way = ramp(&self.lattice, &chain, z, enter, self.safe);
+                let way = ramp(&self.lattice, &chain, z, &|i| self.stock.over(i), self.safe);
                 self.enter(chain[0], way.from, f64::from(z(self.lattice.index(chain[0]))));
             }
-            self.sink(&chain, z, enter, feed);
+            self.sink(&chain, z, feed);
             for k in 1..chain.len() {
-                self.cut_to(&chain[k..], z, enter, feed);
+                self.cut_to(&chain[k..], z, feed);
             }
         }
         self.retract();
@@ -481,7 +481,6 @@ impl<'a> Stage<'a> {
         &mut self,
         pass: &[Cell],
         z: &dyn Fn(usize) -> f32,
-        open: &dyn Fn(usize) -> f32,
         feed: f64,
     ) {
         let Some((_, high)) = self.at else { return };
@@ -489,7 +488,7 @@ impl<'a> Stage<'a> {
         if high - end <= LEAST_MM {
             return self.push(MoveKind::Cut, pass[0], end, feed);
         }
-        let down = ramp(&self.lattice, pass, z, open, high);
+        let down = ramp(&self.lattice, pass, z, &|i| self.stock.over(i), high);
         self.push(MoveKind::Cut, pass[0], down.from, self.process.plunge_feed);
         for (c, h) in down.way {
             self.push(MoveKind::Cut, c, h, feed);
@@ -504,7 +503,6 @@ impl<'a> Stage<'a> {
         &mut self,
         rest: &[Cell],
         z: &dyn Fn(usize) -> f32,
-        open: &dyn Fn(usize) -> f32,
         feed: f64,
     ) {
         let Some((from, z0)) = self.at else { return };
@@ -513,7 +511,7 @@ impl<'a> Stage<'a> {
             let over = to.max(z0);
             self.push(MoveKind::Cut, from, over, feed);
             self.push(MoveKind::Cut, rest[0], over, feed);
-            self.sink(rest, z, open, feed);
+            self.sink(rest, z, feed);
         } else {
             self.push(MoveKind::Cut, rest[0], to, feed);
         }
@@ -522,6 +520,9 @@ impl<'a> Stage<'a> {
     fn push(&mut self, kind: MoveKind, cell: Cell, z: f64, feed: f64) {
         if self.at == Some((cell, z)) {
             return;
+        }
+        if kind == MoveKind::Cut {
+            self.stock.cut(cell, z);
         }
         self.moves.push(Move { kind, tip: self.lattice.world(cell, z), feed });
         self.at = Some((cell, z));

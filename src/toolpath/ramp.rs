@@ -6,7 +6,7 @@
 //! it that lie as deep. Guarantees: no height below that of its cell; the last is the first cell at
 //! its own. Not guaranteed: a ramp where the cutter has room for nothing else than to go straight.
 
-use super::image::{Cell, Lattice};
+use super::image::{Cell, Image, Lattice, Profile};
 
 /// Fall of a ramp over its length: 6°, which centre-cutting flat and ball ends take in plastic,
 /// wax and aluminium. Steeper loads the end's middle, which does not cut; flatter only takes time.
@@ -21,6 +21,45 @@ const MOST_TRIPS: usize = 12;
 /// Cells beside a short pass that are looked at, mm from its beginning.
 const BESIDE_MM: f64 = 1.5;
 
+/// The tops of what is still to cut, seen along the axis.
+pub(super) struct Stock {
+    lattice: Lattice,
+    tops: Vec<f32>,
+    /// Cells under the edge and the edge's height over the tip there.
+    edge: Vec<(i64, i64, f32)>,
+}
+
+impl Stock {
+    /// `tops` are the highest voxel centres to cut, `half` what stands over them.
+    pub fn new(tops: &Image, edge: &Profile, half: f64) -> Stock {
+        let raised = tops.data.iter().map(|z| z + half as f32).collect();
+        Stock { lattice: tops.lattice, tops: raised, edge: edge.offsets() }
+    }
+
+    fn under(&self, cell: Cell) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let [nx, ny] = self.lattice.n.map(|n| n as i64);
+        self.edge.iter().filter_map(move |(di, dj, k)| {
+            let (i, j) = (cell[0] as i64 + di, cell[1] as i64 + dj);
+            let inside = i >= 0 && j >= 0 && i < nx && j < ny;
+            inside.then_some(((i + nx * j) as usize, *k))
+        })
+    }
+
+    /// The tip stood at a height over a cell, cutting.
+    pub fn cut(&mut self, cell: Cell, z: f64) {
+        let found: Vec<(usize, f32)> = self.under(cell).collect();
+        for (at, k) in found {
+            self.tops[at] = self.tops[at].min(z as f32 + k);
+        }
+    }
+
+    /// Height at which a tip over cell `i` meets material; −∞ where there is none.
+    pub fn over(&self, i: usize) -> f32 {
+        let cell = self.lattice.cell_of_index(i);
+        self.under(cell).map(|(at, k)| self.tops[at] - k).fold(f32::NEG_INFINITY, f32::max)
+    }
+}
+
 /// A way down at the first cell of a pass.
 pub(super) struct Ramp {
     /// Height at which it begins, over the first cell.
@@ -29,8 +68,8 @@ pub(super) struct Ramp {
     pub way: Vec<(Cell, f64)>,
 }
 
-/// The ramp of a pass: `z` are its heights, `open` those at which material begins, over any
-/// cell; infinite where nothing is to cut. It begins at `high` at most.
+/// The ramp of a pass: `z` are its heights, infinite where nothing is to cut; `open` those at
+/// which a tip meets material, over any cell. It begins at `high` at most.
 pub(super) fn ramp(
     lattice: &Lattice,
     pass: &[Cell],
