@@ -5,7 +5,7 @@ use super::config::PlanConfig;
 use super::exit::Failure;
 use super::plan::{Clock, digest};
 use hmplan::base::Ctx;
-use hmplan::gcode::{self, CheckReport, PostError, Program};
+use hmplan::gcode::{self, CheckReport, Deviation, PostError, Program};
 use hmplan::mesh::TriMesh;
 use hmplan::plan::{Job, Plan, PlanFile, Schedule};
 use hmplan::planner::setup::{SetupOptions, SetupReport};
@@ -205,6 +205,38 @@ pub fn check_program(
         Err(ToolpathError::Cancelled(_)) => Err(Failure::Interrupted),
         Err(e) => Err(Failure::input(e)),
     }
+}
+
+/// How far what a program leaves is from the target; none where the job has no target mesh.
+pub fn deviation(
+    job: &Job,
+    plan: &Plan,
+    text: &str,
+    ctx: &Ctx,
+) -> Result<Option<Deviation>, Failure> {
+    if job.target_mesh.is_empty() || plan.steps.is_empty() {
+        return Ok(None);
+    }
+    match gcode::deviation(text, job, plan, ctx) {
+        Ok(map) => Ok(Some(map)),
+        Err(ToolpathError::Cancelled(_)) => Err(Failure::Interrupted),
+        Err(e) => Err(Failure::input(e)),
+    }
+}
+
+/// The map's figures in one sentence.
+pub fn deviation_note(d: &Deviation) -> String {
+    format!(
+        "Deviation of the program from the target (deviation.ply): {:.1} % of the machined surface cut \
+         deeper than {:.2} mm (most {:.2} mm), {:.1} % left higher than roughing leaves (most {:.2} mm); \
+         beads at most {:.2} mm outside.",
+        100.0 * d.gouged,
+        gcode::GOUGE_MM,
+        d.gouge_mm,
+        100.0 * d.left,
+        d.excess_mm,
+        d.outside_mm,
+    )
 }
 
 /// One line when the program passes, else one a broken rule with its first finding.

@@ -76,6 +76,11 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     };
 
     let plan = &verdict.plan;
+    let deviation = match &posted.text {
+        Some(text) => clock.time("verify", || pipeline::deviation(&job, plan, text, &ctx))?,
+        None => None,
+    };
+    figures.notes.extend(deviation.as_ref().map(pipeline::deviation_note));
     let mut rules = report::rule_lines(&verdict);
     rules.extend(posted.rules);
     let mut summary = report::summarise(&job, &verdict, figures, clock.total());
@@ -112,6 +117,9 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     draft.write(output::REPORT, |out| out.write_all(page.as_bytes()))?;
     if let Some(text) = &posted.text {
         draft.write(output::PROGRAM, |out| out.write_all(text.as_bytes()))?;
+    }
+    if let Some(map) = &deviation {
+        draft.write(output::DEVIATION, |out| map.write_ply(out))?;
     }
     if config.program_steps {
         for (i, (text, step)) in posted.steps.iter().zip(&plan.steps).enumerate() {

@@ -1,4 +1,4 @@
-use super::interpret::{Motion, Setting, run};
+use super::interpret::{Motion, Run, Setting, run};
 use super::program::{Checked, Program};
 use super::report::{CheckReport, Finding, Rule, StepFigures};
 use super::sweep::{Scene, judge};
@@ -37,14 +37,7 @@ pub fn check(
         return Ok(CheckReport { findings, steps: Vec::new(), lines });
     }
     let replay = Replay::of(job, plan)?;
-    let placements: Vec<_> = plan
-        .steps
-        .iter()
-        .zip(&replay.contact_center)
-        .map(|(s, c)| job.machine.placement(&plan.holdings[s.holding], *c))
-        .collect();
-    let setting = Setting { job, plan, placements: &placements };
-    let run = run(text, &setting);
+    let run = interpret(text, job, plan, &replay);
     ctx.begin("check program", plan.steps.len() as u64);
     let judged: Result<Vec<(StepFigures, Vec<Finding>)>, ToolpathError> = (0..plan.steps.len())
         .into_par_iter()
@@ -71,6 +64,21 @@ pub fn check(
     }
     findings.sort_by_key(|f| (f.line, f.rule));
     Ok(CheckReport { findings, steps, lines })
+}
+
+fn interpret(text: &str, job: &Job, plan: &Plan, replay: &Replay) -> Run {
+    let placements: Vec<_> = plan
+        .steps
+        .iter()
+        .zip(&replay.contact_center)
+        .map(|(s, c)| job.machine.placement(&plan.holdings[s.holding], *c))
+        .collect();
+    run(text, &Setting { job, plan, placements: &placements })
+}
+
+/// Where a program moves, in order of its steps.
+pub(super) fn motions(text: &str, job: &Job, plan: &Plan, replay: &Replay) -> Vec<Motion> {
+    interpret(text, job, plan, replay).motions
 }
 
 /// As [`check`]; hands out the program as checked when no rule is broken.

@@ -23,7 +23,8 @@ pub enum Rule {
     Direction,
     /// Rapids touch neither the work nor what holds it.
     Rapid,
-    /// No tool enters what must stay deeper than a voxel's diagonal.
+    /// No cutter enters what must stay deeper than the surface tolerance, no nozzle deeper than a
+    /// voxel's diagonal.
     Gouge,
     /// Cutting stays over the step's region, beads in it.
     Astray,

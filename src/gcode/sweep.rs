@@ -92,7 +92,8 @@ impl Told {
     }
 }
 
-/// Rapids touch nothing at all, moves at feed nothing deeper than a voxel's diagonal.
+/// Rapids touch nothing at all, cutters nothing that stays deeper than the tolerance, nozzles nothing
+/// deeper than a voxel's diagonal.
 fn touches(scene: &Scene, motions: &[Motion]) -> Vec<Finding> {
     let plane = scene.step.direction.image_plane();
     let h = scene.frame.pitch;
@@ -114,7 +115,12 @@ fn touches(scene: &Scene, motions: &[Motion]) -> Vec<Finding> {
     let whole = points(scene.before, Some(scene.after));
     let whole = Skyline::new(&whole, plane, anchor, cell);
     let (mut rapid, mut gouge) = (Told::new(Rule::Rapid), Told::new(Rule::Gouge));
-    let diagonal = h * 3f64.sqrt();
+    // A cutter deeper than the tolerance under a surface is half a voxel less deep over the centres, and
+    // by the way of shrinking it √2 as deep in a corner. A nozzle rides on the staircase.
+    let slack = match scene.step.kind {
+        StepKind::Subtractive => (scene.tolerance - h / 2.0) * std::f64::consts::FRAC_1_SQRT_2,
+        StepKind::Additive => h * 3f64.sqrt(),
+    };
     for m in motions {
         if m.gait == Gait::Rapid {
             if leaves_straight(&plane, m) {
@@ -125,9 +131,9 @@ fn touches(scene: &Scene, motions: &[Motion]) -> Vec<Finding> {
                 rapid.tell(m.line, format!("a rapid runs the tool into ({o:.2})"));
             }
         } else {
-            let touch = |p| stays.touched(scene.tool, p, diagonal, diagonal);
+            let touch = |p| stays.touched(scene.tool, p, slack, slack);
             if let Some(o) = samples(m, h / 2.0).find_map(touch) {
-                let message = format!("the tool enters ({o:.2}) more than {diagonal:.2} mm deep");
+                let message = format!("the tool enters ({o:.2}) more than {slack:.2} mm deep");
                 gouge.tell(m.line, message);
             }
         }

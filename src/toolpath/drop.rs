@@ -53,6 +53,14 @@ impl End {
         }
     }
 
+    /// Signed distance from a point at radius `rho` and `z` over the tip to the end and the cylinder
+    /// above it, negative inside.
+    pub fn distance(&self, rho: f64, z: f64) -> f64 {
+        let (flat, round) = self.torus();
+        let (out, down) = (rho - flat, round - z);
+        out.max(0.0).hypot(down.max(0.0)) + out.max(down).min(0.0) - round
+    }
+
     /// Height of the end's surface over the tip at a distance from the axis, within the radius.
     fn lower(&self, rho: f64) -> f64 {
         let (flat, round) = self.torus();

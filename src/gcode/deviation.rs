@@ -1,0 +1,382 @@
+//! How far what a program leaves is from the target's own surface.
+//!
+//! Method: the target mesh is divided into facets; over each the signed distance to what the cutters
+//! sweep is the least, over all cutting moves, of the distance to the end of the tool: along a
+//! straight move that is a convex function, found by golden section. Beads are held against the
+//! mesh at the middle of their layer.
+//!
+//! ```text
+//! gouge(p)  = max over moves after p was last laid of −d(p, tool)   where positive
+//! excess(p) = min over moves of d(p, tool)                          where p was cut free
+//! outside   = max over beads of the distance from the target + half a bead
+//! ```
+//!
+//! Guarantees: gouges and excess to [`SEARCH_MM`] at the middle of each facet. Not guaranteed: between
+//! the middles; moves of tools whose edge is no ball, flat or bull-nose end, which are left out;
+//! what beads leave open.
+
+use super::check::motions;
+use super::interpret::{Gait, Motion};
+use super::sweep::samples;
+use crate::base::{Ctx, DVec2, DVec3, ImagePlane};
+use crate::machine::Tool;
+use crate::mesh::{NearestTriangle, TriMesh};
+use crate::plan::{Job, Plan, StepKind};
+use crate::toolpath::{End, Replay, ToolpathError};
+use crate::voxel::BitGrid;
+use rayon::prelude::*;
+use std::io::{self, Write};
+
+/// Facets have no longer sides than this many pitches; smaller ones cost time alone.
+const FACET_PITCH: f64 = 2.0;
+
+/// Facets at most: the sides grow where a mesh is finer or larger.
+const MOST_FACETS: f64 = 400_000.0;
+
+/// Distances beyond this are not told apart, mm: a surface this far off was not meant to be cut.
+const FAR_MM: f64 = 2.0;
+
+/// Width at which the search along a move stops, mm.
+const SEARCH_MM: f64 = 1e-3;
+
+/// Side of the cells that moves are listed in, mm.
+const CELL_MM: f64 = 1.0;
+
+/// How far aside of its facet a voxel is looked up, in pitches: the surface lies up to half a
+/// voxel's diagonal from the face between voxels.
+const ASIDE_PITCH: f64 = 0.9;
+
+/// One facet of the target.
+#[derive(Clone, Copy, Debug)]
+pub struct Facet {
+    pub corners: [DVec3; 3],
+    /// Outward.
+    pub normal: DVec3,
+    /// mm²
+    pub area: f64,
+    /// Material left on the surface (positive) or cut out of it (negative), mm; 0 where no cutter
+    /// came.
+    pub off_mm: f64,
+    /// Whether a step cuts the space in front of it.
+    pub machined: bool,
+}
+
+/// What a program does to the target's surface.
+#[derive(Clone, Debug, Default)]
+pub struct Deviation {
+    pub facets: Vec<Facet>,
+    /// Deepest cut into the target, mm.
+    pub gouge_mm: f64,
+    /// Most material left on a machined surface, mm.
+    pub excess_mm: f64,
+    /// Shares of the machined surface's area that are cut deeper than 0.05 mm, and that keep more
+    /// than what roughing leaves.
+    pub gouged: f64,
+    pub left: f64,
+    /// How far the outside of a bead that stays lies from the target, mm.
+    pub outside_mm: f64,
+}
+
+/// Deeper cuts into the target are gouges, mm.
+pub const GOUGE_MM: f64 = 0.05;
+
+/// Measures a program's text; it should have passed its check.
+///
+/// # Errors
+/// As [`super::check`].
+pub fn deviation(
+    text: &str,
+    job: &Job,
+    plan: &Plan,
+    ctx: &Ctx,
+) -> Result<Deviation, ToolpathError> {
+    let replay = Replay::of(job, plan)?;
+    let motions = motions(text, job, plan, &replay);
+    let of_step = |i: usize| {
+        let from = motions.partition_point(|m| m.step < i);
+        &motions[from..motions.partition_point(|m| m.step <= i)]
+    };
+    let mut found = Deviation::default();
+    let mut sweeps: Vec<Option<Sweep>> = Vec::new();
+    for (i, step) in plan.steps.iter().enumerate() {
+        ctx.check()?;
+        let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
+        let tool = job.tool(&step.tool).ok_or_else(no_tool)?;
+        sweeps.push(match step.kind {
+            StepKind::Subtractive => Sweep::of(of_step(i), step.direction.image_plane(), tool),
+            StepKind::Additive => {
+                let out = outside(job, plan, i, of_step(i), tool);
+                found.outside_mm = found.outside_mm.max(out);
+                None
+            }
+        });
+    }
+    let stock = job.cutters.iter().map(|t| t.process.stock_to_leave_mm).fold(0.0, f64::max);
+    let facets = facets(&job.target_mesh, job.frame.pitch);
+    found.facets = facets
+        .into_par_iter()
+        .filter_map(|corners| facet(corners, job, plan, &sweeps))
+        .collect();
+    ctx.check()?;
+    let (mut machined, mut gouged, mut left) = (0.0, 0.0, 0.0);
+    for f in &found.facets {
+        found.gouge_mm = found.gouge_mm.max(-f.off_mm);
+        gouged += if f.off_mm < -GOUGE_MM { f.area } else { 0.0 };
+        if f.machined {
+            found.excess_mm = found.excess_mm.max(f.off_mm);
+            machined += f.area;
+            left += if f.off_mm > stock { f.area } else { 0.0 };
+        }
+    }
+    let share = |part: f64| if machined > 0.0 { part / machined } else { 0.0 };
+    (found.gouged, found.left) = (share(gouged), share(left));
+    Ok(found)
+}
+
+/// The target's triangles, divided until their sides are short.
+fn facets(mesh: &TriMesh, pitch: f64) -> Vec<[DVec3; 3]> {
+    let area: f64 = (0..mesh.triangles().len()).map(|t| mesh.area_normal(t).length() / 2.0).sum();
+    let side = (FACET_PITCH * pitch).max((4.0 * area / MOST_FACETS).sqrt());
+    let mut out = Vec::new();
+    for t in 0..mesh.triangles().len() {
+        let mut open = vec![mesh.corners(t)];
+        while let Some(c) = open.pop() {
+            let sides = [0, 1, 2].map(|i| c[i].distance(c[(i + 1) % 3]));
+            let i = (0..3).max_by(|a, b| sides[*a].total_cmp(&sides[*b])).unwrap_or(0);
+            if sides[i] <= side {
+                out.push(c);
+                continue;
+            }
+            let (a, b, far) = (c[i], c[(i + 1) % 3], c[(i + 2) % 3]);
+            let middle = (a + b) / 2.0;
+            open.push([a, middle, far]);
+            open.push([middle, b, far]);
+        }
+    }
+    out
+}
+
+/// A facet's deviation; none for one without area, or whose sides the voxels do not tell apart.
+fn facet(
+    corners: [DVec3; 3],
+    job: &Job,
+    plan: &Plan,
+    sweeps: &[Option<Sweep>],
+) -> Option<Facet> {
+    let doubled = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+    let normal = doubled.try_normalize()?;
+    let p = (corners[0] + corners[1] + corners[2]) / 3.0;
+    let aside = ASIDE_PITCH * job.frame.pitch;
+    let voxel = |q: DVec3| job.frame.voxel_at(q);
+    let solid = |q: DVec3| voxel(q).is_some_and(|v| job.target.get(v));
+    // Single triangles may face the wrong way.
+    let turned = solid(p + normal * aside) && !solid(p - normal * aside);
+    let normal = if turned { -normal } else { normal };
+    if solid(p + normal * aside) == solid(p - normal * aside) {
+        return None;
+    }
+    let (inner, outer) = (voxel(p - normal * aside), voxel(p + normal * aside));
+    let in_step = |v: Option<[usize; 3]>, kind: StepKind, i: usize| {
+        let step = &plan.steps[i];
+        step.kind == kind && v.is_some_and(|v| step.region.get(v))
+    };
+    let steps = 0..plan.steps.len();
+    // What is laid after a cut was not there to be cut into.
+    let laid = steps.clone().rev().find(|i| in_step(inner, StepKind::Additive, *i));
+    let machined = steps.clone().any(|i| in_step(outer, StepKind::Subtractive, i));
+    let mut off = FAR_MM;
+    for i in steps.filter(|i| laid.is_none_or(|l| *i > l)) {
+        if let Some(sweep) = &sweeps[i] {
+            off = sweep.distance(p, off);
+        }
+    }
+    let off_mm = if machined || off < 0.0 { off } else { 0.0 };
+    Some(Facet { corners, normal, area: doubled.length() / 2.0, off_mm, machined })
+}
+
+/// What one step's edge sweeps.
+struct Sweep {
+    plane: ImagePlane,
+    end: End,
+    origin: DVec2,
+    n: [usize; 2],
+    /// Moves that cross each cell, lowest first.
+    cells: Vec<Vec<u32>>,
+    /// Both ends of each move, as (u, v, height).
+    moves: Vec<[DVec3; 2]>,
+}
+
+impl Sweep {
+    fn of(motions: &[Motion], plane: ImagePlane, tool: &Tool) -> Option<Sweep> {
+        let end = End::of(tool)?;
+        let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
+        let cuts = motions.iter().filter(|m| m.gait == Gait::Feed);
+        let moves: Vec<[DVec3; 2]> =
+            cuts.map(|m| [turned(m.from.unwrap_or(m.to)), turned(m.to)]).collect();
+        let corner = |pick: fn(DVec2, DVec2) -> DVec2, start: DVec2| {
+            moves.iter().flatten().fold(start, |a, p| pick(a, p.truncate()))
+        };
+        let (lo, hi) = (corner(DVec2::min, DVec2::INFINITY), corner(DVec2::max, DVec2::NEG_INFINITY));
+        if moves.is_empty() {
+            return None;
+        }
+        let n = ((hi - lo) / CELL_MM).floor() + DVec2::ONE;
+        let n = [n.x as usize, n.y as usize];
+        let mut sweep =
+            Sweep { plane, end, origin: lo, n, cells: vec![Vec::new(); n[0] * n[1]], moves };
+        for (i, [a, b]) in sweep.moves.iter().enumerate() {
+            let count = (2.0 * a.truncate().distance(b.truncate()) / CELL_MM).ceil().max(1.0);
+            let mut last = usize::MAX;
+            for k in 0..=count as usize {
+                let at = ((a.lerp(*b, k as f64 / count).truncate() - lo) / CELL_MM).floor();
+                let at = (at.x as usize).min(n[0] - 1) + n[0] * (at.y as usize).min(n[1] - 1);
+                if at != last && sweep.cells[at].last() != Some(&(i as u32)) {
+                    sweep.cells[at].push(i as u32);
+                }
+                last = at;
+            }
+        }
+        let low = |i: &u32| {
+            let [a, b] = sweep.moves[*i as usize];
+            a.z.min(b.z)
+        };
+        for cell in &mut sweep.cells {
+            cell.sort_by(|i, j| low(i).total_cmp(&low(j)));
+        }
+        Some(sweep)
+    }
+
+    /// The lesser of `best` and the distance from a point to what is swept, negative inside.
+    fn distance(&self, p: DVec3, best: f64) -> f64 {
+        let (uv, z) = (self.plane.across(p), self.plane.height(p));
+        let radius = self.end.radius();
+        // Half a cell for moves that cut a corner between two of their points.
+        let reach = radius + best.max(0.0) + CELL_MM;
+        let cell = |q: DVec2| ((q - self.origin) / CELL_MM).floor();
+        let (lo, hi) = (cell(uv - reach), cell(uv + reach));
+        let clip = |x: f64, n: usize| x.clamp(0.0, n as f64 - 1.0) as usize;
+        if hi.x < 0.0 || hi.y < 0.0 || lo.x >= self.n[0] as f64 || lo.y >= self.n[1] as f64 {
+            return best;
+        }
+        let mut best = best;
+        for j in clip(lo.y, self.n[1])..=clip(hi.y, self.n[1]) {
+            for i in clip(lo.x, self.n[0])..=clip(hi.x, self.n[0]) {
+                for m in &self.cells[i + self.n[0] * j] {
+                    let [a, b] = self.moves[*m as usize];
+                    // No point of the end is lower than its tip, none farther out than its radius.
+                    if a.z.min(b.z) - z >= best {
+                        break;
+                    }
+                    if apart(uv, a.truncate(), b.truncate()) - radius < best {
+                        best = best.min(self.along(uv.extend(z), a, b));
+                    }
+                }
+            }
+        }
+        best
+    }
+
+    /// Least distance from a point to the end along a move.
+    fn along(&self, p: DVec3, a: DVec3, b: DVec3) -> f64 {
+        const GOLDEN: f64 = 0.618_033_988_749_894_9;
+        let at = |t: f64| {
+            let tip = a.lerp(b, t);
+            self.end.distance(p.truncate().distance(tip.truncate()), p.z - tip.z)
+        };
+        let (mut low, mut high, length) = (0.0, 1.0, a.distance(b));
+        let (mut t0, mut t1) = (1.0 - GOLDEN, GOLDEN);
+        let (mut d0, mut d1) = (at(t0), at(t1));
+        while (high - low) * length > SEARCH_MM {
+            if d0 < d1 {
+                (high, t1, d1) = (t1, t0, d0);
+                t0 = high - GOLDEN * (high - low);
+                d0 = at(t0);
+            } else {
+                (low, t0, d0) = (t0, t1, d1);
+                t1 = low + GOLDEN * (high - low);
+                d1 = at(t1);
+            }
+        }
+        d0.min(d1).min(at(0.0)).min(at(1.0))
+    }
+}
+
+fn apart(p: DVec2, a: DVec2, b: DVec2) -> f64 {
+    let way = b - a;
+    let t = (p - a).dot(way) / way.length_squared().max(1e-18);
+    (a + way * t.clamp(0.0, 1.0)).distance(p)
+}
+
+/// How far the outside of the beads of step `i` that stay lies from the target, mm.
+fn outside(job: &Job, plan: &Plan, i: usize, motions: &[Motion], tool: &Tool) -> f64 {
+    let process = &tool.process;
+    let (reach, half) = (4.0 * process.path_mm, process.path_mm / 2.0);
+    let nearest = NearestTriangle::new(&job.target_mesh, reach);
+    let down = plan.steps[i].direction.vec() * (process.layer_mm / 2.0);
+    let mut cut_later = BitGrid::new(job.frame.dims);
+    for step in plan.steps[i..].iter().filter(|s| s.kind == StepKind::Subtractive) {
+        cut_later.union_with(&step.region);
+    }
+    let beads: Vec<&Motion> = motions.iter().filter(|m| m.gait == Gait::Deposit).collect();
+    let of_bead = |m: &&Motion| {
+        let mut worst: f64 = 0.0;
+        for p in samples(m, job.frame.pitch) {
+            let middle = p - down;
+            let voxel = job.frame.voxel_at(middle);
+            if voxel.is_some_and(|v| cut_later.get(v)) {
+                continue;
+            }
+            let within = voxel.is_some_and(|v| job.target.get(v));
+            let away = nearest.query(middle).map_or(reach, |q| q.distance);
+            worst = worst.max(half + if within { -away } else { away });
+        }
+        worst
+    };
+    beads.par_iter().map(of_bead).collect::<Vec<_>>().into_iter().fold(0.0, f64::max)
+}
+
+impl Deviation {
+    /// Writes binary PLY, millimetres, a colour for every facet: grey where no cutter came, green within
+    /// 0.05 mm, blue for material left, red for material cut out, full at 0.5 mm.
+    ///
+    /// # Errors
+    /// Whatever the writer answers.
+    pub fn write_ply(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "ply\nformat binary_little_endian 1.0")?;
+        writeln!(out, "comment deviation from the target, mm: property off of each face")?;
+        writeln!(out, "element vertex {}", 3 * self.facets.len())?;
+        writeln!(out, "property float x\nproperty float y\nproperty float z")?;
+        let colour = "property uchar red\nproperty uchar green\nproperty uchar blue";
+        writeln!(out, "element face {}", self.facets.len())?;
+        writeln!(out, "property list uchar uint vertex_indices\n{colour}")?;
+        writeln!(out, "property float off\nend_header")?;
+        for p in self.facets.iter().flat_map(|f| f.corners) {
+            for c in p.to_array() {
+                out.write_all(&(c as f32).to_le_bytes())?;
+            }
+        }
+        for (i, f) in self.facets.iter().enumerate() {
+            out.write_all(&[3])?;
+            for k in 0..3 {
+                out.write_all(&((3 * i + k) as u32).to_le_bytes())?;
+            }
+            out.write_all(&f.colour())?;
+            out.write_all(&(f.off_mm as f32).to_le_bytes())?;
+        }
+        Ok(())
+    }
+}
+
+impl Facet {
+    fn colour(&self) -> [u8; 3] {
+        /// Deviation of the full colour, mm.
+        const FULL_MM: f64 = 0.5;
+        if !self.machined && self.off_mm == 0.0 {
+            return [160, 160, 160];
+        }
+        let share = ((self.off_mm.abs() - GOUGE_MM) / (FULL_MM - GOUGE_MM)).clamp(0.0, 1.0);
+        let to = if self.off_mm < 0.0 { [213.0, 94.0, 0.0] } else { [0.0, 114.0, 178.0] };
+        let from = [0.0, 158.0, 115.0];
+        std::array::from_fn(|c| (from[c] + share * (to[c] - from[c])) as u8)
+    }
+}
