@@ -124,12 +124,7 @@ fn judge_step(
 }
 
 /// Whether a step of the program does as much as its path promises.
-fn against(
-    figures: &StepFigures,
-    path: &Toolpath,
-    line: usize,
-    arcs: bool,
-) -> Option<Finding> {
+fn against(figures: &StepFigures, path: &Toolpath, line: usize, arcs: bool) -> Option<Finding> {
     let share = if arcs { PROMISED_ARCS } else { PROMISED.0 };
     let off = |a: f64, b: f64| (a - b).abs() > share * b + PROMISED.1;
     let (want, what) = match path.kind {

@@ -113,10 +113,8 @@ pub fn deviation(
     }
     let stock = job.cutters.iter().map(|t| t.process.stock_to_leave_mm).fold(0.0, f64::max);
     let facets = facets(&job.target_mesh, job.frame.pitch);
-    found.facets = facets
-        .into_par_iter()
-        .filter_map(|corners| facet(corners, job, plan, &sweeps))
-        .collect();
+    found.facets =
+        facets.into_par_iter().filter_map(|corners| facet(corners, job, plan, &sweeps)).collect();
     ctx.check()?;
     let (mut machined, mut gouged, mut left) = (0.0, 0.0, 0.0);
     for f in &found.facets {
@@ -157,12 +155,7 @@ fn facets(mesh: &TriMesh, pitch: f64) -> Vec<[DVec3; 3]> {
 }
 
 /// A facet's deviation; none for one without area, or whose sides the voxels do not tell apart.
-fn facet(
-    corners: [DVec3; 3],
-    job: &Job,
-    plan: &Plan,
-    sweeps: &[Option<Sweep>],
-) -> Option<Facet> {
+fn facet(corners: [DVec3; 3], job: &Job, plan: &Plan, sweeps: &[Option<Sweep>]) -> Option<Facet> {
     let doubled = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
     let normal = doubled.try_normalize()?;
     let p = (corners[0] + corners[1] + corners[2]) / 3.0;
@@ -216,7 +209,8 @@ impl Sweep {
         let corner = |pick: fn(DVec2, DVec2) -> DVec2, start: DVec2| {
             moves.iter().flatten().fold(start, |a, p| pick(a, p.truncate()))
         };
-        let (lo, hi) = (corner(DVec2::min, DVec2::INFINITY), corner(DVec2::max, DVec2::NEG_INFINITY));
+        let (lo, hi) =
+            (corner(DVec2::min, DVec2::INFINITY), corner(DVec2::max, DVec2::NEG_INFINITY));
         if moves.is_empty() {
             return None;
         }
@@ -378,5 +372,55 @@ impl Facet {
         let to = if self.off_mm < 0.0 { [213.0, 94.0, 0.0] } else { [0.0, 114.0, 178.0] };
         let from = [0.0, 158.0, 115.0];
         std::array::from_fn(|c| (from[c] + share * (to[c] - from[c])) as u8)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gcode::post;
+    use crate::toolpath::for_unverified;
+    use crate::toolpath::tests::{World, world};
+
+    fn faced() -> (World, String) {
+        let block = |p: DVec3| p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 12.0;
+        let size = DVec3::new(24.0, 20.0, 14.0);
+        let mut w = world(
+            "generic-5axis",
+            0.5,
+            size,
+            block,
+            &[(StepKind::Subtractive, DVec3::Z, |p| p.z > 8.2)],
+        );
+        // The face lies where no voxel's face does.
+        w.job.target_mesh = TriMesh::cuboid(DVec3::new(2.0, 2.0, 0.0), DVec3::new(22.0, 18.0, 8.2));
+        let paths = for_unverified(&w.job, &w.plan, &Ctx::quiet()).unwrap();
+        let text = post(&w.job, &w.plan, &paths, "sha256:0").unwrap().text().to_string();
+        (w, text)
+    }
+
+    #[test]
+    fn a_face_is_left_within_the_scallop_and_a_low_cut_is_seen() {
+        let (w, text) = faced();
+        let d = deviation(&text, &w.job, &w.plan, &Ctx::quiet()).unwrap();
+        let scallop = w.job.cutters[0].process.scallop_mm;
+        assert!(d.gouge_mm < 0.01, "{}", d.gouge_mm);
+        assert!(d.excess_mm < 1.5 * scallop + 0.01, "{} for {scallop}", d.excess_mm);
+        assert!(d.facets.iter().any(|f| f.machined) && d.facets.iter().any(|f| !f.machined));
+        // The lowest height of the program, 0.3 mm lower in one line.
+        let heights = |l: &str| l.strip_prefix("Z").and_then(|z| z.split(' ').next()?.parse().ok());
+        let lowest = text.lines().filter_map(heights).fold(f64::INFINITY, f64::min);
+        let line = text.lines().position(|l| heights(l) == Some(lowest)).unwrap();
+        let low = |(i, l): (usize, &str)| match i == line {
+            true => l.replacen(&format!("{lowest:.3}"), &format!("{:.3}", lowest - 0.3), 1) + "\n",
+            false => format!("{l}\n"),
+        };
+        let text: String = text.lines().enumerate().map(low).collect();
+        let d = deviation(&text, &w.job, &w.plan, &Ctx::quiet()).unwrap();
+        assert!((d.gouge_mm - 0.3).abs() < 0.05 && d.gouged > 0.0, "{}", d.gouge_mm);
+        let mut ply = Vec::new();
+        d.write_ply(&mut ply).unwrap();
+        let header = ply.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        assert_eq!(ply.len(), header + d.facets.len() * (3 * 12 + 13 + 3 + 4));
     }
 }

@@ -2,8 +2,11 @@
 
 use super::tests::{paths, report, told};
 use super::*;
+use crate::base::DVec3;
 use crate::machine::Writing;
-use crate::toolpath::tests::{WORLDS, World};
+use crate::mesh::TriMesh;
+use crate::plan::StepKind;
+use crate::toolpath::tests::{WORLDS, World, world};
 
 const DIALECTS: [&str; 6] = ["rs274", "linuxcnc", "grblhal", "rrf", "fanuc", "mx220"];
 
@@ -101,6 +104,91 @@ fn filament_that_is_changed_is_caught_on_its_line() {
         changed[at] = changed[at].replace(" E", " E1");
         let r = report(&w, &(changed.join("\n") + "\n"));
         assert!(r.findings.iter().any(|f| f.line == at + 1 && f.rule == Rule::Extruder));
+    }
+}
+
+/// A round tower printed on a block, its wall that of a mesh of many sides.
+fn round_tower(machine: &str) -> World {
+    let block = |p: DVec3| p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 4.0;
+    let round = |p: DVec3| (p.x - 12.0).hypot(p.y - 10.0) < 6.0 && p.z < 7.0;
+    let size = DVec3::new(24.0, 20.0, 10.0);
+    let mut w = world(machine, 0.5, size, block, &[(StepKind::Additive, DVec3::Z, round)]);
+    const SIDES: u32 = 240;
+    let ring = |z: f64| {
+        (0..SIDES).map(move |i| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(SIDES)).sin_cos();
+            DVec3::new(12.0 + 6.0 * cos, 10.0 + 6.0 * sin, z)
+        })
+    };
+    let middles = [0.0, 7.0].map(|z| DVec3::new(12.0, 10.0, z));
+    let vertices = ring(0.0).chain(ring(7.0)).chain(middles).collect();
+    let side = |i: u32| {
+        let (a, b) = (i, (i + 1) % SIDES);
+        let (low, high) = (2 * SIDES, 2 * SIDES + 1);
+        [[a, b, b + SIDES], [a, b + SIDES, a + SIDES], [low, b, a], [high, a + SIDES, b + SIDES]]
+    };
+    w.job.target_mesh = TriMesh::new(vertices, (0..SIDES).flat_map(side).collect()).unwrap();
+    w
+}
+
+#[test]
+fn arcs_are_written_where_asked_for_and_read_back() {
+    for dialect in ["linuxcnc", "rrf"] {
+        let plain = posted(round_tower, dialect, Writing::default());
+        let (w, text) = posted(round_tower, dialect, Writing { arcs: true, ..Writing::default() });
+        let arcs = |t: &str| t.lines().filter(|l| l.contains(" I") && l.contains(" J")).count();
+        assert!(arcs(&plain.1) == 0 && arcs(&text) > 50, "{dialect}: {}", arcs(&text));
+        assert!(2 * text.lines().count() < plain.1.lines().count());
+        let ctx = crate::base::Ctx::quiet();
+        let r = check(&text, &w.job, &w.plan, Some(&paths(&w)), &ctx).unwrap();
+        assert!(r.passed(), "{dialect}:\n{}", told(&r));
+        // An arc whose centre is off, one that turns the other way, one that climbs.
+        let lines: Vec<&str> = text.lines().collect();
+        let all: Vec<usize> = (0..lines.len()).filter(|i| lines[*i].contains(" I")).collect();
+        let at = all[all.len() / 2];
+        let turned = if lines[at].contains("G3") { "G2" } else { "G3" };
+        let now = lines[at].replace(if turned == "G2" { "G3" } else { "G2" }, turned);
+        for bad in [lines[at].replace(" I", " I1"), now, format!("{} Z1", lines[at])] {
+            let mut changed: Vec<String> = lines.iter().map(|l| (*l).to_string()).collect();
+            changed[at] = bad.clone();
+            let r = report(&w, &(changed.join("\n") + "\n"));
+            assert!(r.findings.iter().any(|f| f.line == at + 1), "{bad}:\n{}", told(&r));
+        }
+        // A control that takes no arcs reads none.
+        let mut other = round_tower("generic-5axis");
+        other.job.machine.control.dialect = dialect.into();
+        assert!(!report(&other, &text).passed());
+    }
+}
+
+#[test]
+fn each_step_is_a_program_of_its_own() {
+    for dialect in DIALECTS {
+        let mut w = WORLDS[2].1("generic-5axis");
+        w.job.machine.control.dialect = dialect.into();
+        let program = post(&w.job, &w.plan, &paths(&w), "sha256:0").unwrap();
+        let steps = program.steps();
+        assert_eq!(steps.len(), 2);
+        // What both begin and end with is the whole program's.
+        let shared = |f: fn(&str) -> Vec<&str>| {
+            let (a, b, all) = (f(&steps[0]), f(&steps[1]), f(program.text()));
+            let same = |x: &[&str]| x.iter().zip(&all).take_while(|(p, q)| p == q).count();
+            same(&a).min(same(&b))
+        };
+        let head = shared(|t| t.lines().collect());
+        let tail = shared(|t| t.lines().rev().collect());
+        assert!(head > 10 && tail >= 2, "{dialect}: {head} {tail}");
+        let changes = |t: &str| {
+            let code = |l: &&str| l.contains(" M6") || (dialect == "rrf" && l.starts_with('T'));
+            t.lines().filter(code).count()
+        };
+        assert!(steps.iter().all(|s| changes(s) == 1), "{dialect}");
+        let inner = |t: &str| t.lines().count() - head - tail;
+        assert_eq!(inner(&steps[0]) + inner(&steps[1]), inner(program.text()), "{dialect}");
+        // The first by itself is the program of a plan that ends there.
+        w.plan.steps.truncate(1);
+        let r = report(&w, &steps[0]);
+        assert!(r.passed(), "{dialect}:\n{}", told(&r));
     }
 }
 

@@ -66,7 +66,8 @@ impl Skyline {
     }
 
     /// A point inside the tool that stands with its tip on `tip`, when the tool is shrunk by `side`
-    /// (mm) inward and the points are lowered by `down`; none when it is free.
+    /// (mm) inward and the points are lowered by `down` (negative: grown, raised); none when it is
+    /// free.
     pub fn touched(&self, tool: &Tool, tip: DVec3, side: f64, down: f64) -> Option<DVec3> {
         let (uv, z) = (self.plane.across(tip), self.plane.height(tip));
         let mut stack = vec![(self.levels.len() - 1, [0usize; 2])];
@@ -78,8 +79,8 @@ impl Skyline {
             }
             if k == 0 {
                 if let Some(p) = self.points[c[0] + level.n[0] * c[1]] {
-                    let rho = p.truncate().distance(uv);
-                    if p.z - down > z + tool.lower_surface(rho + side) {
+                    let rho = (p.truncate().distance(uv) + side).max(0.0);
+                    if p.z - down > z + tool.lower_surface(rho) {
                         return Some(self.plane.world(p.truncate(), p.z));
                     }
                 }
@@ -88,7 +89,7 @@ impl Skyline {
             let size = self.cell * (1u64 << k) as f64;
             let low = self.origin + DVec2::new(c[0] as f64, c[1] as f64) * size;
             let nearest = uv.clamp(low, low + DVec2::splat(size));
-            if top - down <= z + tool.lower_surface(nearest.distance(uv) + side) {
+            if top - down <= z + tool.lower_surface((nearest.distance(uv) + side).max(0.0)) {
                 continue;
             }
             let finer = self.levels[k - 1].n;

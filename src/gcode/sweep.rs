@@ -155,6 +155,23 @@ fn sinks_straight(plane: &ImagePlane, from: DVec3, to: DVec3) -> bool {
     plane.height(to - from) < 0.0 && plane.across(to - from).length() <= WRITTEN_MM
 }
 
+/// Whether the tool might have come down beside itself: where it has no room, straight is the
+/// only way.
+fn has_room(scene: &Scene, tip: DVec3) -> bool {
+    let plane = scene.step.direction.image_plane();
+    let h = scene.frame.pitch;
+    let shell = scene.after.boundary();
+    let mut stays: Vec<DVec3> = shell.iter_ones().map(|v| scene.frame.center(v)).collect();
+    stays.extend(scene.fixed);
+    let sky = Skyline::new(&stays, plane, scene.frame.center([0; 3]), h);
+    (0..8).any(|k| {
+        let (sin, cos) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
+        let aside = tip + (plane.u * cos + plane.v * sin) * (2.0 * h);
+        // With the half voxel that paths keep off what they do not know better.
+        sky.touched(scene.tool, aside, -h / 2.0, -h / 2.0).is_none()
+    })
+}
+
 /// The lowest tip in each (u, v) cell.
 struct Lowest {
     plane: ImagePlane,
@@ -323,7 +340,7 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
                 let c = cells.cell_of(uv + DVec2::new(*i as f64, *j as f64) * h);
                 c.is_some_and(|c| tops[c[0] + cells.n[0] * c[1]] - z - lower > h + PLUNGE_MM)
             };
-            if 2 * edge.iter().filter(deep).count() > edge.len() {
+            if 2 * edge.iter().filter(deep).count() > edge.len() && has_room(scene, m.to) {
                 told.tell(m.line, "the cutter goes straight down into material".into());
             }
         }

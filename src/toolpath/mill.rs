@@ -402,13 +402,7 @@ impl<'a> Stage<'a> {
     }
 
     /// Contour-parallel passes over a set of cells.
-    fn passes(
-        &mut self,
-        set: &[bool],
-        stepover: f64,
-        z: &dyn Fn(usize) -> f32,
-        feed: f64,
-    ) {
+    fn passes(&mut self, set: &[bool], stepover: f64, z: &dyn Fn(usize) -> f32, feed: f64) {
         if !set.contains(&true) {
             return;
         }
@@ -477,12 +471,7 @@ impl<'a> Stage<'a> {
     }
 
     /// From above the first cell of a pass down to its height, by a ramp through material.
-    fn sink(
-        &mut self,
-        pass: &[Cell],
-        z: &dyn Fn(usize) -> f32,
-        feed: f64,
-    ) {
+    fn sink(&mut self, pass: &[Cell], z: &dyn Fn(usize) -> f32, feed: f64) {
         let Some((_, high)) = self.at else { return };
         let end = f64::from(z(self.lattice.index(pass[0])));
         if high - end <= LEAST_MM {
@@ -499,12 +488,7 @@ impl<'a> Stage<'a> {
     /// Cuts to the neighbouring cell at which the rest of a pass begins. On steep ground the tip first
     /// rises, then crosses, then falls: a slanted move would pass through the step that the lattice
     /// resolves only at its cells.
-    fn cut_to(
-        &mut self,
-        rest: &[Cell],
-        z: &dyn Fn(usize) -> f32,
-        feed: f64,
-    ) {
+    fn cut_to(&mut self, rest: &[Cell], z: &dyn Fn(usize) -> f32, feed: f64) {
         let Some((from, z0)) = self.at else { return };
         let to = f64::from(z(self.lattice.index(rest[0])));
         if (to - z0).abs() > 2.0 * self.lattice.s {

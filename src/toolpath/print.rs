@@ -10,8 +10,8 @@
 //! [`INSET_SLACK`]); outlines deviate from the section by at most [`CHORD_MM`]. Not guaranteed:
 //! what is thinner than a bead gets none, and its volume is reported.
 
-use super::image::{Image, Lattice};
 use super::comb::comb;
+use super::image::{Image, Lattice};
 use super::infill::{Fill, Line, fill, hatch, length as length_of};
 use super::mill::{Free, Work};
 use super::moves::{Figures, Move, MoveKind};
@@ -118,7 +118,8 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     let blocked = heights.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let top = high + process.layer;
     let safe = free.state_top.max(f64::from(blocked)).max(top) + CLEARANCE_MM;
-    let mut head = Head { heights, safe, process: *process, at: None, moves: Vec::new(), around: Vec::new() };
+    let mut head =
+        Head { heights, safe, process: *process, at: None, moves: Vec::new(), around: Vec::new() };
     for layer in layers {
         head.process.feed = layer.feed;
         head.around = layer.around;

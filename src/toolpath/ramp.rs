@@ -36,28 +36,30 @@ impl Stock {
         Stock { lattice: tops.lattice, tops: raised, edge: edge.offsets() }
     }
 
-    fn under(&self, cell: Cell) -> impl Iterator<Item = (usize, f32)> + '_ {
-        let [nx, ny] = self.lattice.n.map(|n| n as i64);
-        self.edge.iter().filter_map(move |(di, dj, k)| {
-            let (i, j) = (cell[0] as i64 + di, cell[1] as i64 + dj);
-            let inside = i >= 0 && j >= 0 && i < nx && j < ny;
-            inside.then_some(((i + nx * j) as usize, *k))
-        })
-    }
-
     /// The tip stood at a height over a cell, cutting.
     pub fn cut(&mut self, cell: Cell, z: f64) {
-        let found: Vec<(usize, f32)> = self.under(cell).collect();
-        for (at, k) in found {
-            self.tops[at] = self.tops[at].min(z as f32 + k);
+        for (di, dj, k) in &self.edge {
+            if let Some(at) = beyond(&self.lattice, cell, *di, *dj) {
+                self.tops[at] = self.tops[at].min(z as f32 + k);
+            }
         }
     }
 
     /// Height at which a tip over cell `i` meets material; −∞ where there is none.
     pub fn over(&self, i: usize) -> f32 {
         let cell = self.lattice.cell_of_index(i);
-        self.under(cell).map(|(at, k)| self.tops[at] - k).fold(f32::NEG_INFINITY, f32::max)
+        let meets = self.edge.iter().filter_map(|(di, dj, k)| {
+            beyond(&self.lattice, cell, *di, *dj).map(|at| self.tops[at] - k)
+        });
+        meets.fold(f32::NEG_INFINITY, f32::max)
     }
+}
+
+/// Index of the cell so many cells away, if it is one.
+fn beyond(lattice: &Lattice, cell: Cell, di: i64, dj: i64) -> Option<usize> {
+    let (i, j) = (cell[0] as i64 + di, cell[1] as i64 + dj);
+    let inside = i >= 0 && j >= 0 && i < lattice.n[0] as i64 && j < lattice.n[1] as i64;
+    inside.then(|| i as usize + lattice.n[0] * j as usize)
 }
 
 /// A way down at the first cell of a pass.

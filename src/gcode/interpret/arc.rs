@@ -41,7 +41,8 @@ impl Interpreter<'_> {
         let radius = p.length();
         if (q.length() - radius).abs() > RADIUS_MM {
             let off = q.length() - radius;
-            return self.find(Rule::Syntax, format!("the arc's ends lie {off:.4} mm apart in radius"));
+            return self
+                .find(Rule::Syntax, format!("the arc's ends lie {off:.4} mm apart in radius"));
         }
         let sense = if motion == 3 { 1.0 } else { -1.0 };
         let turn = (sense * p.perp_dot(q).atan2(p.dot(q))).rem_euclid(std::f64::consts::TAU);
