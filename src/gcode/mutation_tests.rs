@@ -68,6 +68,10 @@ fn mutate(s: &Sound, rng: &mut Random) -> (usize, &'static str, Vec<String>) {
     let name = match kind {
         1 | 2 => {
             lines.remove(at);
+            // Every other time the rapid that follows stays one.
+            if kind == 1 && at % 2 == 0 && lines[at].starts_with(['X', 'Y']) {
+                lines[at] = format!("G0 {}", lines[at]);
+            }
             ["retract removed", "code removed"][kind - 1]
         }
         3 if at + 1 < lines.len() => {

@@ -20,7 +20,7 @@ use super::process::{CLEARANCE_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
 use crate::base::{DVec2, DVec3};
 use crate::machine::Tool;
-use crate::plan::{Job, Step};
+use crate::plan::{Job, Step, StepKind};
 use crate::voxel::{BitGrid, Frame};
 
 /// Heights closer than this are the same, mm: far above the rounding of f32 heights, far below
@@ -62,9 +62,13 @@ pub(super) fn mill(work: &Work, process: &Milling) -> Milled {
     Milled { moves, safe_height, figures }
 }
 
-/// Pitch of the tip lattice: the plan's rule.
-pub(super) fn tip_pitch(frame: &Frame, step: &Step) -> f64 {
-    if step.direction.is_grid_axis() { frame.pitch } else { frame.pitch / 2.0 }
+/// Pitch of the tip lattice: the plan's rule, or half a voxel where the meshes are known. A wall along
+/// the axis is approached to within a cell, so a whole voxel would leave more than the stock.
+fn tip_pitch(work: &Work) -> f64 {
+    let h = work.frame.pitch;
+    let cuts = work.step.kind == StepKind::Subtractive;
+    let exact = cuts && !work.job.target_mesh.is_empty();
+    if work.step.direction.is_grid_axis() && !exact { h } else { h / 2.0 }
 }
 
 /// (u, v) box of the region's voxel centres.
@@ -90,7 +94,7 @@ impl Free {
     /// Tips within `reach` mm of the region's box; obstacles of `state` and the fixed points.
     pub fn around(work: &Work, state: &BitGrid, reach: f64) -> Free {
         let plane = work.step.direction.image_plane();
-        let s = tip_pitch(work.frame, work.step);
+        let s = tip_pitch(work);
         let (lo, hi) = region_box(work);
         // A margin and a cell's half-diagonal may widen a tool by this much.
         let tool = DVec2::splat(work.tool.max_radius() + 2.0 * work.frame.pitch + 1.0);

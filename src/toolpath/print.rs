@@ -423,10 +423,16 @@ mod tests {
             assert!((s - 1.0).abs() < 0.06, "{skin}: {s}");
         }
         assert!(middle.thin_mm3 < 0.002);
-        let wall =
-            vec![DVec2::ZERO, DVec2::new(10.0, 0.0), DVec2::new(10.0, 0.3), DVec2::new(0.0, 0.3)];
-        let thin = layer(&[wall], 0, 1);
-        assert!(thin.loops.is_empty() && (thin.thin_mm3 - 0.6).abs() < 1e-6);
+        let wall = |w: f64| {
+            vec![DVec2::ZERO, DVec2::new(10.0, 0.0), DVec2::new(10.0, w), DVec2::new(0.0, w)]
+        };
+        // A wall of more than half a bead gets one along it, a thinner one none.
+        let thin = layer(&[wall(0.3)], 0, 1);
+        assert!(thin.loops.is_empty() && thin.thin_mm3 < 1e-6);
+        assert!(thin.fill.len() == 1 && (length(&thin.fill[0]) - 9.5).abs() < 0.01);
+        let thin = layer(&[wall(0.2)], 0, 1);
+        assert!(thin.loops.is_empty() && thin.fill.is_empty());
+        assert!((thin.thin_mm3 - 0.4).abs() < 1e-6);
     }
 
     #[test]

@@ -42,20 +42,23 @@ impl Storeys {
         });
         let inside = |p: DVec3| frame.voxel_at(p).is_some_and(|v| step.region.get(v));
         let wide = |p: &DVec3| around.iter().all(|a| inside(*p + *a));
-        // The exact face of a body lies up to a voxel from its voxels': a first or last layer that
-        // the voxels have may not be one of the part.
+        // A body's exact face lies up to half a voxel inside its voxels': only from the middle of its
+        // outermost voxels on is there certainly something.
         let along = frame.pitch * plane.d;
-        let within = |p: &DVec3| inside(*p + along) && inside(*p - along);
-        let centers = step.region.iter_ones().map(|v| frame.center(v)).filter(within);
-        let heights: Vec<f64> = centers.filter(wide).map(|p| plane.height(p)).collect();
-        let Some(low) = heights.iter().copied().reduce(f64::min) else {
+        let stretch = |p: DVec3| {
+            let reach = |side: DVec3| if inside(p + side) { half } else { 0.0 };
+            let z = plane.height(p);
+            (z - reach(-along), z + reach(along))
+        };
+        let centers = step.region.iter_ones().map(|v| frame.center(v)).filter(wide);
+        let stretches: Vec<(f64, f64)> = centers.map(stretch).collect();
+        let Some(lowest) = stretches.iter().map(|s| s.0).reduce(f64::min) else {
             return Storeys::default();
         };
-        let lowest = low - half;
         let at = |height: f64| ((height - lowest) / STOREY_MM).max(0.0) as usize;
         let mut filled = Vec::new();
-        for height in heights {
-            let (from, to) = (at(height - half), at(height + half));
+        for (low, high) in stretches {
+            let (from, to) = (at(low), at(high));
             filled.resize(filled.len().max(to + 1), false);
             filled[from..=to].fill(true);
         }
