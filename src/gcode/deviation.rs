@@ -407,10 +407,16 @@ mod tests {
         assert!(d.gouge_mm < 0.01, "{}", d.gouge_mm);
         assert!(d.excess_mm < 1.5 * scallop + 0.01, "{} for {scallop}", d.excess_mm);
         assert!(d.facets.iter().any(|f| f.machined) && d.facets.iter().any(|f| !f.machined));
-        // The lowest height of the program, 0.3 mm lower.
-        let heights = text.split_whitespace().filter_map(|w| w.strip_prefix('Z')?.parse().ok());
-        let lowest = heights.fold(f64::INFINITY, f64::min);
-        let text = text.replace(&format!("Z{lowest:.3}"), &format!("Z{:.3}", lowest - 0.3));
+        // Every height that is not a rapid's, 0.3 mm lower.
+        let lower = |word: &str| match word.strip_prefix('Z').and_then(|z| z.parse::<f64>().ok()) {
+            Some(z) => format!("Z{:.3} ", z - 0.3),
+            None => format!("{word} "),
+        };
+        let low = |l: &str| match l.starts_with("G0") || l.starts_with("G53") {
+            true => format!("{l}\n"),
+            false => l.split(' ').map(lower).collect::<String>() + "\n",
+        };
+        let text: String = text.lines().map(low).collect();
         let d = deviation(&text, &w.job, &w.plan, &Ctx::quiet()).unwrap();
         assert!((d.gouge_mm - 0.3).abs() < 0.05 && d.gouged > 0.0, "{}", d.gouge_mm);
         let mut ply = Vec::new();

@@ -20,7 +20,7 @@ use super::process::{CLEARANCE_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
 use crate::base::{DVec2, DVec3};
 use crate::machine::Tool;
-use crate::plan::{Job, Step, StepKind};
+use crate::plan::{Job, Step};
 use crate::voxel::{BitGrid, Frame};
 
 /// Heights closer than this are the same, mm: far above the rounding of f32 heights, far below
@@ -62,13 +62,9 @@ pub(super) fn mill(work: &Work, process: &Milling) -> Milled {
     Milled { moves, safe_height, figures }
 }
 
-/// Pitch of the tip lattice: the plan's rule, or half a voxel where the meshes are known. A wall along
-/// the axis is approached to within a cell, so a whole voxel would leave more than the stock.
-fn tip_pitch(work: &Work) -> f64 {
-    let h = work.frame.pitch;
-    let cuts = work.step.kind == StepKind::Subtractive;
-    let exact = cuts && !work.job.target_mesh.is_empty();
-    if work.step.direction.is_grid_axis() && !exact { h } else { h / 2.0 }
+/// Pitch of the tip lattice: the plan's rule.
+fn tip_pitch(frame: &Frame, step: &Step) -> f64 {
+    if step.direction.is_grid_axis() { frame.pitch } else { frame.pitch / 2.0 }
 }
 
 /// (u, v) box of the region's voxel centres.
@@ -94,7 +90,7 @@ impl Free {
     /// Tips within `reach` mm of the region's box; obstacles of `state` and the fixed points.
     pub fn around(work: &Work, state: &BitGrid, reach: f64) -> Free {
         let plane = work.step.direction.image_plane();
-        let s = tip_pitch(work);
+        let s = tip_pitch(work.frame, work.step);
         let (lo, hi) = region_box(work);
         // A margin and a cell's half-diagonal may widen a tool by this much.
         let tool = DVec2::splat(work.tool.max_radius() + 2.0 * work.frame.pitch + 1.0);
@@ -332,20 +328,25 @@ impl<'a> Stage<'a> {
     fn rest(&mut self) -> f64 {
         let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
         let exact = std::mem::take(&mut self.exact.data);
-        let share = self.rest_over(&exact, half);
+        let share = self.rest_over(&exact, half, 0.0);
         if self.meshes.is_none() || share == 1.0 {
             return share;
         }
         // What the meshes leave no room for, the voxels may, which is what the plan was made on:
-        // lumps deeper than the tolerance go, at the price of a pitch's gouge in the crevice.
+        // lumps deeper than the tolerance go, at the price of a pitch's gouge in the crevice. Deep
+        // is meant to all sides: along a wall a cell's width that is left is none.
+        let (_, share) = self.uncovered(half, half);
         let plain = self.free.heights(self.work.tool, 0.0, 0.0);
         let deep = self.work.job.rules.tolerance_mm / 2.0;
-        self.rest_over(&plain.data, if share < LEAST_SHARE { half } else { deep.max(half) })
+        let slack = if share < LEAST_SHARE { half } else { deep.max(half) };
+        self.rest_over(&plain.data, slack, slack);
+        self.uncovered(half, half).1
     }
 
-    /// Cuts the region farther than `slack` under what was swept, with lowest tips `free`.
-    fn rest_over(&mut self, free: &[f32], slack: f64) -> f64 {
-        let (uncovered, share) = self.uncovered(slack);
+    /// Cuts the region farther than `slack` under and `side` beside what was swept, with lowest
+    /// tips `free`.
+    fn rest_over(&mut self, free: &[f32], slack: f64, side: f64) -> f64 {
+        let (uncovered, share) = self.uncovered(slack, side);
         if uncovered.is_empty() {
             return share;
         }
@@ -369,13 +370,16 @@ impl<'a> Stage<'a> {
         let near = self.near();
         let ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
         self.levels(&need, &ceiling, &near);
-        self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM).1
+        self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM, 0.0).1
     }
 
-    /// Region voxels farther than `slack` under what the edge swept (cell and height), and the
-    /// fraction of the others.
-    fn uncovered(&self, slack: f64) -> (Vec<(Cell, f32)>, f64) {
+    /// Region voxels farther than `slack` under what the edge, grown by `side`, swept (cell and
+    /// height), and the fraction of the others.
+    fn uncovered(&self, slack: f64, side: f64) -> (Vec<(Cell, f32)>, f64) {
         let l = self.lattice;
+        let tool = self.work.tool;
+        let edge = |rho: f64| tool.active_lower_surface(rho);
+        let edge = Profile::new(edge, tool.active_radius(), l.s, side, 0.0);
         let mut swept = Image::empty(l);
         let cut = |w: &&[Move]| w[1].kind == MoveKind::Cut;
         for w in self.moves.windows(2).filter(cut) {
@@ -388,7 +392,7 @@ impl<'a> Stage<'a> {
                 }
             }
         }
-        let reached = self.edge.dilate(&swept, l, f64::NEG_INFINITY);
+        let reached = edge.dilate(&swept, l, f64::NEG_INFINITY);
         let half = slack as f32;
         let (mut left, mut all) = (Vec::new(), 0usize);
         for v in self.work.step.region.iter_ones() {

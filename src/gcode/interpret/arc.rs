@@ -46,6 +46,10 @@ impl Interpreter<'_> {
         }
         let sense = if motion == 3 { 1.0 } else { -1.0 };
         let turn = (sense * p.perp_dot(q).atan2(p.dot(q))).rem_euclid(std::f64::consts::TAU);
+        if turn > std::f64::consts::PI {
+            // Never written: it is a short one turned the wrong way.
+            return self.find(Rule::Syntax, "an arc of more than half a turn");
+        }
         let chord = 2.0 * (1.0 - (CHORD_MM / radius).min(1.0)).acos();
         let n = (turn / chord).ceil().clamp(LEAST_CHORDS, 1e5) as usize;
         self.states(motion, step);
