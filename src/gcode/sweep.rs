@@ -164,11 +164,12 @@ fn has_room(scene: &Scene, tip: DVec3) -> bool {
     let mut stays: Vec<DVec3> = shell.iter_ones().map(|v| scene.frame.center(v)).collect();
     stays.extend(scene.fixed);
     let sky = Skyline::new(&stays, plane, scene.frame.center([0; 3]), h);
+    // The surface that paths keep off lies up to half a voxel's diagonal from the centres.
+    let off = h * 3f64.sqrt() / 2.0;
     (0..8).any(|k| {
         let (sin, cos) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
         let aside = tip + (plane.u * cos + plane.v * sin) * (2.0 * h);
-        // With the half voxel that paths keep off what they do not know better.
-        sky.touched(scene.tool, aside, -h / 2.0, -h / 2.0).is_none()
+        sky.touched(scene.tool, aside, -off, -off).is_none()
     })
 }
 
