@@ -25,9 +25,6 @@ const LEAST_LUMP: usize = 8;
 /// Roughing levels that a cut may be deep: one, and terraces and corners that another pass left.
 const LEVELS: f64 = 2.0;
 
-/// Material that the whole end may enter straight down, beyond what a voxel's height may hide, mm.
-const PLUNGE_MM: f64 = 0.1;
-
 /// Slack in mm for positions written with three decimals.
 pub(super) const WRITTEN_MM: f64 = 0.01;
 
@@ -313,11 +310,13 @@ fn lump(scene: &Scene, motions: &[Motion], missed: &[DVec3]) -> Finding {
 }
 
 /// Cuts that take more than half the cutter's width deeper than the roughing levels allow, and
-/// ways straight down into material with more than half of the end.
+/// ways straight down into material with more than half of the end by more than a level: pits as wide
+/// as the cutter take no ramp.
 fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowest) -> Vec<Finding> {
     let (h, tool) = (scene.frame.pitch, scene.tool);
     let radius = tool.active_radius();
-    let most = LEVELS * tool.process.step_down * 2.0 * radius + 2.0 * h;
+    let level = tool.process.step_down * 2.0 * radius;
+    let most = LEVELS * level + 2.0 * h;
     let hi = over.origin + DVec2::new(over.n[0] as f64, over.n[1] as f64) * over.cell;
     let cells = Lowest::over(over.origin, hi, h, over.plane);
     let mut tops = vec![f64::NEG_INFINITY; cells.tips.len()];
@@ -339,7 +338,7 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
             let (uv, z) = (cells.plane.across(m.to), cells.plane.height(m.to));
             let deep = |(i, j, lower): &&(i64, i64, f64)| {
                 let c = cells.cell_of(uv + DVec2::new(*i as f64, *j as f64) * h);
-                c.is_some_and(|c| tops[c[0] + cells.n[0] * c[1]] - z - lower > h + PLUNGE_MM)
+                c.is_some_and(|c| tops[c[0] + cells.n[0] * c[1]] - z - lower > h + level)
             };
             if 2 * edge.iter().filter(deep).count() > edge.len() && has_room(scene, m.to) {
                 told.tell(m.line, "the cutter goes straight down into material".into());
