@@ -123,7 +123,10 @@ mod tests {
             }
         }
         // A way that is free stays straight, and so does one that would be four times as long.
-        assert!(comb(DVec2::new(1.0, 1.0), DVec2::new(9.0, 2.0), &[shoe.clone()]).is_empty());
+        assert!(
+            comb(DVec2::new(1.0, 1.0), DVec2::new(9.0, 2.0), std::slice::from_ref(&shoe))
+                .is_empty()
+        );
         let (a, b) = (DVec2::new(3.9, 9.9), DVec2::new(6.1, 9.9));
         assert!(comb(a, b, std::slice::from_ref(&shoe)).is_empty());
     }
