@@ -322,7 +322,10 @@ fn tools(machine: &Machine, names: &[String], kind: ToolKind) -> Result<Vec<Tool
     let tools: Vec<Tool> = if names.is_empty() {
         machine.tools_of(kind).into_iter().cloned().collect()
     } else {
-        names.iter().map(|n| profiles::find_tool(machine, n)).collect::<Result<_, _>>()?
+        // A tool that is asked for by name takes part.
+        let named =
+            |n: &String| Ok(Tool { fine_grids_only: false, ..profiles::find_tool(machine, n)? });
+        names.iter().map(named).collect::<Result<_, Failure>>()?
     };
     if tools.is_empty() {
         return Err(Failure::Input(format!(

@@ -56,18 +56,21 @@ mod reasons;
 mod refine;
 mod round;
 mod setting;
+mod supports;
+#[cfg(test)]
+mod supports_tests;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
-use crate::plan::{Job, Plan, StepKind, end_state};
+use crate::plan::{Job, Plan, Plane, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::{PrintingBase, Volumes, printing_bases};
 use crate::voxel::BitGrid;
-use candidates::Element;
+use candidates::{Admissible, Element};
 use clip::Clip;
 use coarse::Coarse;
 use compared::{bottom_up, top_down};
-use global::{choose, global_route};
+use global::{choose, global_route, most_promising};
 use locals::{improved, is_complete, local_route};
 use round::{Attempt, deep, volumes};
 use setting::Setting;
@@ -266,11 +269,9 @@ fn one_round(
         .collect();
     clock.lap("graph");
     let normals = plane_normals(job, options.directions);
-    let planes = choose(setting, &first, &bad_bases, &normals, options, &mut report)?;
-    let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
-    let initial = volumes(job, &clips).reused.count();
-    report.reuse_initial = initial as f64 / job.target.count() as f64;
-    report.planes_global = planes.len();
+    let all = Admissible::all(job, &normals);
+    let planes = choose(setting, &first, &bad_bases, &all, options, &mut report)?;
+    report.tell_planes(job, &planes);
     clock.lap("set_cover");
     let start = Start { setting, coarse: &coarse, preferred, bad_bases };
     let mut run = Run { start: &start, normals: &normals, options, report, clock, ctx };
@@ -279,16 +280,48 @@ fn one_round(
         Search::TopDown => top_down(&mut run, planes)?,
         Search::BottomUp => bottom_up(&mut run)?,
     };
+    let best = supported(&mut run, best)?;
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
     Ok((best, report))
 }
 
+/// The same on supports where that leaves less.
+fn supported(run: &mut Run, best: Attempt) -> Result<Attempt, PlanError> {
+    let Run { start, options, report, clock, ctx, .. } = run;
+    if best.deficit.is_empty() || ctx.out_of_time() {
+        return Ok(best);
+    }
+    let job = start.setting.job;
+    let made = start.on_supports(&best, Direction::Z, options, ctx)?;
+    clock.lap("blocks");
+    made.tell("supports", 0);
+    // A support in a pocket that is open only below stands for good.
+    if made.rank(job) >= best.rank(job) || made.left() >= best.left() {
+        return Ok(best);
+    }
+    let of_it = made.steps.iter().filter(|s| s.kind == StepKind::Additive);
+    let printed: usize = of_it.map(|s| s.region.minus(&job.target).count()).sum();
+    report.notes.push(format!(
+        "{:.1} mm³ of supports are printed and cut away again, since without them more is left.",
+        printed as f64 * job.frame.voxel_volume()
+    ));
+    Ok(made)
+}
+
 /// Global planes, and local ones where those gave up much or left something.
 fn searched(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError> {
     let job = run.start.setting.job;
-    let global = global_route(run, first)?;
+    let normals = run.normals;
+    let upright: Vec<Direction> = normals.iter().copied().filter(|n| n.vec().z >= 0.0).collect();
+    let mut admissible = vec![Admissible::all(job, normals)];
+    if job.rules.holding == HoldingMode::Refixture {
+        // Where the part still stands on the base, deposits can begin there as well.
+        admissible.push(Admissible { normals: &upright, keeps_base: true });
+    }
+    let chosen = most_promising(run, first, &admissible)?;
+    let global = global_route(run, first, &chosen)?;
     let kept = global.volumes.reused.count() as f64;
     let most = first.reused.count() as f64;
     let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
@@ -359,6 +392,14 @@ impl Report {
                 None => self.seconds.push((stage, *seconds)),
             }
         }
+    }
+
+    /// R_I and #C_b.
+    fn tell_planes(&mut self, job: &Job, planes: &[Plane]) {
+        let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
+        let initial = volumes(job, &clips).reused.count();
+        self.reuse_initial = initial as f64 / job.target.count() as f64;
+        self.planes_global = planes.len();
     }
 
     /// #P_S and #P_A, from what blocks leave while all that the global planes keep stands.
