@@ -154,6 +154,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         reman: reman::Options {
             iterations: args.iterations as usize,
             rounds: rounds(args, nullified)?,
+            supports: args.supports == args::SupportsArg::Auto,
             search: match args.search {
                 args::SearchArg::Mcts => reman::Search::Mcts,
                 args::SearchArg::Random => reman::Search::Random,

@@ -32,6 +32,10 @@
 //! - On request (`rounds`) what a round of cuts and deposits left gets a round of its own: the
 //!   state it ends in is the initial part of the next, in which only what still stands of the real
 //!   one counts as reused. The paper names such rounds as future work.
+//! - Where something would be missing, the part is printed on supports, and these are cut at the end
+//!   (`supports`), if that leaves less. The paper does without supports, to save their material.
+//! - With a second holding, planes that leave the part on its base are looked at beside all others:
+//!   deposits from straight above may then begin on the bare base.
 //! - A cut that would free a piece it does not reach leaves a bridge to it (`bridges`).
 //! - Directions are ranked on a coarser grid (`coarse`), and the blocks made on the job's own.
 //!
@@ -86,6 +90,8 @@ pub struct Options {
     pub cover: CoverMethod,
     /// Rounds of cuts and then deposits, as long as one leaves less than the one before.
     pub rounds: usize,
+    /// Whether deposits may stand on supports that are cut away again.
+    pub supports: bool,
     pub seed: u64,
 }
 
@@ -123,6 +129,7 @@ impl Default for Options {
             search: Search::Mcts,
             cover: CoverMethod::Ilp,
             rounds: 1,
+            supports: true,
             seed: 0,
         }
     }
@@ -290,7 +297,7 @@ fn one_round(
 /// The same on supports where that leaves less.
 fn supported(run: &mut Run, best: Attempt) -> Result<Attempt, PlanError> {
     let Run { start, options, report, clock, ctx, .. } = run;
-    if best.deficit.is_empty() || ctx.out_of_time() {
+    if !options.supports || best.deficit.is_empty() || ctx.out_of_time() {
         return Ok(best);
     }
     let job = start.setting.job;
