@@ -92,6 +92,8 @@ pub struct Options {
     pub rounds: usize,
     /// Whether deposits may stand on supports that are cut away again.
     pub supports: bool,
+    /// How far a printing base may be concave, mm, and still get no clipping plane.
+    pub base_tolerance_mm: f64,
     pub seed: u64,
 }
 
@@ -130,6 +132,7 @@ impl Default for Options {
             cover: CoverMethod::Ilp,
             rounds: 1,
             supports: true,
+            base_tolerance_mm: 0.0,
             seed: 0,
         }
     }
@@ -264,7 +267,13 @@ fn one_round(
     let mut clock = Clock::default();
     let first = volumes(job, &[]);
     let (_, added) = deep(setting, &first);
-    let bases = printing_bases(&first.reused, &added, &job.initial_mesh, &job.frame);
+    let bases = printing_bases(
+        &first.reused,
+        &added,
+        &job.initial_mesh,
+        &job.frame,
+        options.base_tolerance_mm,
+    );
     report.base_height_ratio = base_height_ratio(job, &bases);
     let mut preferred = vec![Direction::Z];
     let good = bases.iter().filter(|b| b.plano_convex);
