@@ -82,6 +82,8 @@ fn bad_flags_are_bad_usage() {
         (&["--am-tool", "w2v-nozzle", "--am-tool", "w2v-nozzle"], "twice"),
         (&["--trace", "tree.tsv"], "only planner search"),
         (&["--planner", "search", "--rounds", "2"], "planner reman"),
+        (&["--planner", "search", "--supports", "none"], "planner reman"),
+        (&["--planner", "nullify", "--base-tolerance", "0.5"], "planner reman"),
         (&["--planner", "nullify", "--setup-candidates", "2"], "planner reman"),
         (&["--setup", "keep", "--setup-candidates", "2"], "no placement to choose"),
         (&["--planner", "search", "--rotations", "8"], "possible values"),

@@ -36,7 +36,10 @@ impl CarrierTable {
                 }
             }
         }
-        let direct: Vec<_> = below.iter().copied().filter(|o| within(*o)).collect();
+        let mut direct: Vec<_> = below.iter().copied().filter(|o| within(*o)).collect();
+        // The one straight below first.
+        let aside = |o: &[i64; 3]| -drop(*o) / as_vec(*o).length();
+        direct.sort_by(|a, b| aside(a).total_cmp(&aside(b)));
         let mut chains = Vec::new();
         for &a in below.iter().filter(|a| !within(**a)) {
             for &b in &below {
@@ -54,6 +57,19 @@ impl CarrierTable {
         let p = voxel.map(|c| c as i64);
         let at = |o: &[i64; 3]| solid.get_or_empty([p[0] + o[0], p[1] + o[1], p[2] + o[2]]);
         self.direct.iter().any(at) || self.chains.iter().any(|(a, b)| at(a) && at(b))
+    }
+
+    /// The places within the grid at which one voxel would carry this one, the straightest first.
+    pub fn under(
+        &self,
+        voxel: [usize; 3],
+        dims: [usize; 3],
+    ) -> impl Iterator<Item = [usize; 3]> + '_ {
+        self.direct.iter().filter_map(move |o| {
+            let at: [usize; 3] =
+                std::array::from_fn(|a| voxel[a].wrapping_add_signed(o[a] as isize));
+            (0..3).all(|a| at[a] < dims[a]).then_some(at)
+        })
     }
 }
 

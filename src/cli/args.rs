@@ -99,6 +99,12 @@ pub struct PlanArgs {
     /// long as that leaves less
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10))]
     pub rounds: u32,
+    /// How far a printing base may be concave and still get no clipping plane of planner reman, mm
+    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = not_negative)]
+    pub base_tolerance: f64,
+    /// Whether planner reman prints on supports, to be cut away again, what nothing else carries
+    #[arg(long, value_enum, default_value_t = SupportsArg::Auto)]
+    pub supports: SupportsArg,
     /// Iterations of the search for local planes
     #[arg(long, default_value_t = 500, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=10_000_000), help_heading = "Search")]
@@ -384,6 +390,13 @@ pub enum SetCoverArg {
     Greedy,
     /// One plane for all bases
     Single,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SupportsArg {
+    /// Where less is left with them
+    Auto,
+    None,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

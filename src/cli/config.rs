@@ -115,6 +115,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         }
         (Some(planner), _) => return Err(no_such_planner(planner)),
     };
+    reman_alone(args, nullified)?;
     let machine = profiles::find_machine(&args.machine.machine)?;
     let [cutters, nozzles] = if nullified {
         voxel_tools_only(args)?;
@@ -155,7 +156,9 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         },
         reman: reman::Options {
             iterations: args.iterations as usize,
-            rounds: rounds(args, nullified)?,
+            rounds: args.rounds as usize,
+            base_tolerance_mm: args.base_tolerance,
+            supports: args.supports == args::SupportsArg::Auto,
             search: match args.search {
                 args::SearchArg::Mcts => reman::Search::Mcts,
                 args::SearchArg::Random => reman::Search::Random,
@@ -230,14 +233,20 @@ fn search(args: &PlanArgs) -> Result<Option<hybrid::Options>, Failure> {
 }
 
 /// # Errors
-/// Several rounds asked of a planner that has one.
-fn rounds(args: &PlanArgs, nullified: bool) -> Result<usize, Failure> {
-    if args.rounds > 1 && (nullified || args.planner == Some(Planner::Search)) {
-        return Err(Failure::input(
-            "--rounds goes with planner reman; leave it out for the others",
-        ));
+/// Options of planner reman asked of another one.
+fn reman_alone(args: &PlanArgs, nullified: bool) -> Result<(), Failure> {
+    let asked = [
+        ("--rounds", args.rounds > 1),
+        ("--base-tolerance", args.base_tolerance > 0.0),
+        ("--supports", args.supports != args::SupportsArg::Auto),
+    ];
+    let other = nullified || args.planner == Some(Planner::Search);
+    match asked.iter().find(|(_, is_asked)| other && *is_asked) {
+        Some((option, _)) => Err(Failure::Input(format!(
+            "{option} goes with planner reman; leave it out for the others"
+        ))),
+        None => Ok(()),
     }
-    Ok(args.rounds as usize)
 }
 
 /// # Errors
@@ -325,7 +334,10 @@ fn tools(machine: &Machine, names: &[String], kind: ToolKind) -> Result<Vec<Tool
     let tools: Vec<Tool> = if names.is_empty() {
         machine.tools_of(kind).into_iter().cloned().collect()
     } else {
-        names.iter().map(|n| profiles::find_tool(machine, n)).collect::<Result<_, _>>()?
+        // A tool that is asked for by name takes part.
+        let named =
+            |n: &String| Ok(Tool { fine_grids_only: false, ..profiles::find_tool(machine, n)? });
+        names.iter().map(named).collect::<Result<_, Failure>>()?
     };
     if tools.is_empty() {
         return Err(Failure::Input(format!(

@@ -303,6 +303,9 @@ fn prepare(
         cutters = vec![Tool::inv_cutter(frame.pitch, options.length)];
         nozzles = vec![Tool::inv_nozzle(frame.pitch)];
     }
+    for tools in [&mut cutters, &mut nozzles] {
+        tools.retain(|t| !t.fine_grids_only || t.is_round_at(frame.pitch));
+    }
     let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&nozzles));
     rules.holding = config.rules.holding;
     rules.base = config.rules.base;

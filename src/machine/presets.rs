@@ -108,6 +108,7 @@ impl Tool {
                 Section { shape: Shape::Platform { z: length }, active: false },
             ],
             process: voxel_process(pitch_mm),
+            fine_grids_only: false,
         }
     }
 
@@ -124,6 +125,7 @@ impl Tool {
                 Section { shape: Shape::Platform { z: half }, active: false },
             ],
             process: voxel_process(pitch_mm),
+            fine_grids_only: false,
         }
     }
 }

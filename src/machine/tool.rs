@@ -43,6 +43,10 @@ pub struct Tool {
     /// What it is run with.
     #[serde(default)]
     pub process: Process,
+    /// Takes part only where the voxels are at most a third of its tip's radius, and makes them no
+    /// finer: see [`Tool::is_round_at`].
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub fine_grids_only: bool,
 }
 
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -62,9 +66,18 @@ pub enum InvalidTool {
 /// No machine tool is larger (mm); a larger figure is a wrong unit and would size images by it.
 const LARGEST_MM: f64 = 10_000.0;
 
+/// Voxels along the radius of a tip that is to count as round: with two, a ball is a plus.
+pub const VOXELS_PER_RADIUS: f64 = 3.0;
+
 impl Tool {
     pub fn new(name: &str, kind: ToolKind, sections: Vec<Section>) -> Tool {
-        Tool { name: name.into(), kind, sections, process: Default::default() }
+        Tool {
+            name: name.into(),
+            kind,
+            sections,
+            process: Default::default(),
+            fine_grids_only: false,
+        }
     }
 
     /// Checks every figure; call it on whatever comes from a file.
@@ -140,6 +153,16 @@ impl Tool {
                 s => s.max_radius(),
             })
             .fold(f64::INFINITY, f64::min)
+    }
+
+    /// The longest of some tools in the order of a machine's table, those for fine grids aside.
+    pub fn longest(tools: &[Tool]) -> Option<&Tool> {
+        tools.iter().rfind(|t| !t.fine_grids_only).or(tools.last())
+    }
+
+    /// Whether voxels of this pitch (mm) show the tip as round.
+    pub fn is_round_at(&self, pitch_mm: f64) -> bool {
+        self.tip_radius() >= VOXELS_PER_RADIUS * pitch_mm
     }
 
     /// Length over the tip at which the tool first becomes wider than `radius` (mm): its reach.
@@ -278,6 +301,7 @@ mod tests {
                 Section { shape: Shape::Platform { z: 43.0 }, active: false },
             ],
             process: Process::default(),
+            fine_grids_only: false,
         }
     }
 

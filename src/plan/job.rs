@@ -67,15 +67,13 @@ impl Job {
         self.initial.and(&self.target)
     }
 
-    /// Base contact in the first holding: that of what can stay, M ∩ M*, or of the target when
-    /// nothing can. The pedestal is as wide as this and stays so through the whole plan.
+    /// Base contact in the first holding: that of the target, which ends up standing on it whether
+    /// it stood there from the beginning or was printed onto the bare base; of the initial part
+    /// when the target has none. The pedestal is as wide as this and stays so through the whole
+    /// plan.
     pub fn base_contact(&self) -> BitGrid {
-        let contact =
-            Holding::AS_CLAMPED.contact(&self.ideal_reuse(), &self.frame, self.rules.grip_mm);
-        if contact.is_empty() {
-            Holding::AS_CLAMPED.contact(&self.target, &self.frame, self.rules.grip_mm)
-        } else {
-            contact
-        }
+        let of = |solid| Holding::AS_CLAMPED.contact(solid, &self.frame, self.rules.grip_mm);
+        let contact = of(&self.target);
+        if contact.is_empty() { of(&self.initial) } else { contact }
     }
 }

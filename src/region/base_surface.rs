@@ -3,6 +3,10 @@
 //! A component b of the interface is *plano-convex* when it is a union of planar facets, convex
 //! across every facet edge as the nozzle sees it. Voxel faces know six normals only, so points
 //! and normals come from the nearest triangle of M: the interface lies on its surface.
+//!
+//! With a tolerance, a base that is concave by no more counts as plano-convex too: across an edge it
+//! may rise so far over a facet, and a shallow dish as deep as that is one facet. (The paper names
+//! slightly concave bases as future work.)
 
 use crate::base::{DVec3, Direction};
 use crate::mesh::{NearestTriangle, TriMesh};
@@ -45,12 +49,14 @@ pub struct PrintingBase {
     pub plano_convex: bool,
 }
 
-/// The bases between `reused` and `added`, by the surface of the initial part.
+/// The bases between `reused` and `added`, by the surface of the initial part; they may be concave
+/// by `tolerance_mm`.
 pub fn printing_bases(
     reused: &BitGrid,
     added: &BitGrid,
     surface: &TriMesh,
     frame: &Frame,
+    tolerance_mm: f64,
 ) -> Vec<PrintingBase> {
     let h = frame.pitch;
     let contact = touching(reused, added);
@@ -62,7 +68,7 @@ pub fn printing_bases(
             voxels[l as usize].push(v);
         }
     }
-    voxels.iter().map(|vs| base_of(vs, &index, frame)).collect()
+    voxels.iter().map(|vs| base_of(vs, &index, frame, tolerance_mm)).collect()
 }
 
 /// Voxels of `a` with a face neighbour in `b`.
@@ -82,7 +88,12 @@ fn touching(a: &BitGrid, b: &BitGrid) -> BitGrid {
     out
 }
 
-fn base_of(voxels: &[[usize; 3]], index: &NearestTriangle, frame: &Frame) -> PrintingBase {
+fn base_of(
+    voxels: &[[usize; 3]],
+    index: &NearestTriangle,
+    frame: &Frame,
+    tolerance_mm: f64,
+) -> PrintingBase {
     let samples: Vec<(DVec3, DVec3)> = voxels
         .iter()
         .map(|v| {
@@ -105,16 +116,28 @@ fn base_of(voxels: &[[usize; 3]], index: &NearestTriangle, frame: &Frame) -> Pri
     let facets: Vec<Facet> = members.iter().filter_map(|m| fit(m, &samples)).collect();
     let on_facets: usize = members.iter().map(Vec::len).sum();
     let planar = (voxels.len() - on_facets) as f64 <= STRAY_SHARE * voxels.len() as f64;
-    let convex = facets.iter().all(|f| {
-        members.iter().flatten().all(|&i| {
-            f.normal.dot(samples[i].0) - f.offset <= (FACET_DISTANCE_PITCHES + 0.5) * frame.pitch
-        })
-    });
-    PrintingBase {
-        points: samples.iter().map(|s| s.0).collect(),
-        plano_convex: planar && convex && !facets.is_empty(),
-        facets,
+    let slack = (FACET_DISTANCE_PITCHES + 0.5) * frame.pitch + tolerance_mm;
+    let convex = facets
+        .iter()
+        .all(|f| members.iter().flatten().all(|&i| f.normal.dot(samples[i].0) - f.offset <= slack));
+    let plano_convex = planar && convex && !facets.is_empty();
+    let points = samples.iter().map(|s| s.0).collect();
+    match shallow(&samples, slack) {
+        Some(facet) if !plano_convex && tolerance_mm > 0.0 => {
+            PrintingBase { points, facets: vec![facet], plano_convex: true }
+        }
+        _ => PrintingBase { points, facets, plano_convex },
     }
+}
+
+/// All of a base as one facet, if it lies within a layer so thick (mm) across its mean normal.
+fn shallow(samples: &[(DVec3, DVec3)], thickness: f64) -> Option<Facet> {
+    let all: Vec<usize> = (0..samples.len()).collect();
+    let facet = fit(&all, samples)?;
+    let heights = samples.iter().map(|s| facet.normal.dot(s.0));
+    let (low, high) = heights
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), h| (low.min(h), high.max(h)));
+    (high - low <= thickness).then_some(facet)
 }
 
 /// Grows facets over neighbouring base voxels; None where a voxel's normal is unknown.
@@ -173,11 +196,67 @@ mod tests {
         solid: impl Fn(DVec3) -> bool + Sync,
         added: impl Fn(DVec3) -> bool + Sync,
     ) -> Vec<PrintingBase> {
+        bases_within(0.0, mesh, solid, added)
+    }
+
+    fn bases_within(
+        tolerance_mm: f64,
+        mesh: &TriMesh,
+        solid: impl Fn(DVec3) -> bool + Sync,
+        added: impl Fn(DVec3) -> bool + Sync,
+    ) -> Vec<PrintingBase> {
         let frame = Frame { pitch: 0.5, dims: [44, 44, 44], origin: DVec3::splat(-1.0) };
         let reused = BitGrid::from_fn(frame.dims, |v| solid(frame.center(v)));
         let added =
             BitGrid::from_fn(frame.dims, |v| added(frame.center(v)) && !solid(frame.center(v)));
-        printing_bases(&reused, &added, mesh, &frame)
+        printing_bases(&reused, &added, mesh, &frame, tolerance_mm)
+    }
+
+    /// A block of 20 mm whose top is a valley of two planes, `depth` mm deep in its middle.
+    fn valley(depth: f64) -> TriMesh {
+        let top = |x: f64| 10.0 - depth * (1.0 - (x - 10.0).abs() / 10.0);
+        let corners = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)];
+        let at = |(x, y): (f64, f64), z: f64| DVec3::new(x, y, z);
+        let mut v: Vec<DVec3> = corners.iter().map(|c| at(*c, 0.0)).collect();
+        v.extend(corners.iter().map(|c| at(*c, top(c.0))));
+        v.extend([at((10.0, 0.0), top(10.0)), at((10.0, 20.0), top(10.0))]);
+        let triangles = vec![
+            [0, 2, 1],
+            [0, 3, 2], // bottom
+            [4, 8, 9],
+            [4, 9, 7],
+            [8, 5, 6],
+            [8, 6, 9], // the two planes
+            [0, 1, 5],
+            [0, 5, 8],
+            [0, 8, 4],
+            [2, 3, 7],
+            [2, 7, 9],
+            [2, 9, 6], // y = 0, y = 20
+            [1, 2, 6],
+            [1, 6, 5],
+            [3, 0, 4],
+            [3, 4, 7], // x = 20, x = 0
+        ];
+        TriMesh::new(v, triangles).unwrap()
+    }
+
+    #[test]
+    fn a_shallow_valley_is_a_base_within_the_tolerance_alone() {
+        let depth = 1.5;
+        let top = move |p: DVec3| 10.0 - depth * (1.0 - (p.x - 10.0).abs() / 10.0);
+        let inside =
+            move |p: DVec3| p.cmpgt(DVec3::ZERO).all() && p.x < 20.0 && p.y < 20.0 && p.z < top(p);
+        let over = |p: DVec3| p.z > 5.0 && p.x > 1.0 && p.x < 19.0 && p.y > 4.0 && p.y < 16.0;
+        let mesh = valley(depth);
+        let of = |tolerance| {
+            let bases = bases_within(tolerance, &mesh, inside, over);
+            assert_eq!(bases.len(), 1);
+            bases[0].plano_convex
+        };
+        assert!(!of(0.0), "a valley is not convex");
+        assert!(!of(0.3), "nor by so little");
+        assert!(of(1.5));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::CoverMethod;
 use super::setting::Setting;
 use crate::base::{DVec3, Direction};
 use crate::machine::HoldingMode;
-use crate::plan::Plane;
+use crate::plan::{Job, Plane};
 use crate::planner::PlanError;
 use crate::search::{WeightedSet, set_cover};
 use crate::voxel::BitGrid;
@@ -37,19 +37,35 @@ pub struct Cover {
     pub uncovered: Vec<usize>,
 }
 
+/// Which planes may be chosen.
+#[derive(Clone, Copy)]
+pub struct Admissible<'n> {
+    pub normals: &'n [Direction],
+    /// Whether none may cut away any of the base contact.
+    pub keeps_base: bool,
+}
+
+impl<'n> Admissible<'n> {
+    /// All that the job allows.
+    pub fn all(job: &Job, normals: &'n [Direction]) -> Self {
+        Admissible { normals, keeps_base: job.rules.holding == HoldingMode::Base }
+    }
+}
+
 /// Chooses planes for `elements` over `reused` (W2V Eq. 2): a plane with each of `normals`
 /// through the lowest point of each element.
 pub fn cover(
     setting: &Setting,
     reused: &BitGrid,
     elements: &[Element],
-    normals: &[Direction],
+    admissible: &Admissible,
     method: CoverMethod,
 ) -> Result<Cover, PlanError> {
     if elements.is_empty() {
         return Ok(Cover { planes: Vec::new(), uncovered: Vec::new() });
     }
-    let contact = base_contact(setting, reused);
+    let Admissible { normals, keeps_base } = *admissible;
+    let contact = if keeps_base { base_contact(setting, reused) } else { Vec::new() };
     let sample = sampled(setting, reused);
     let candidates: Vec<Candidate> = normals
         .par_iter()
@@ -101,9 +117,6 @@ fn lightest(sets: &[WeightedSet], of: impl Iterator<Item = usize>) -> Option<usi
 
 /// Voxel centres that a plane must not cut away: the base contact in the holding that keeps it.
 fn base_contact(setting: &Setting, reused: &BitGrid) -> Vec<DVec3> {
-    if setting.job.rules.holding == HoldingMode::Refixture {
-        return Vec::new();
-    }
     let frame = &setting.job.frame;
     let contact = setting.holdings[0].contact(reused, frame, setting.job.rules.grip_mm);
     contact.boundary().iter_ones().map(|v| frame.center(v)).collect()

@@ -4,12 +4,12 @@
 //! Guarantees: the cover is of least weight. Not guaranteed: that the shift ends with a plan that
 //! reaches everything.
 
-use super::candidates::{Element, cover};
+use super::candidates::{Admissible, Element, cover};
 use super::clip::Clip;
-use super::round::Attempt;
+use super::coarse::Coarse;
+use super::round::{Attempt, Mending, attempt};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Report, Run, Start};
-use crate::base::Direction;
 use crate::plan::{Job, Plane};
 use crate::planner::PlanError;
 use crate::region::Volumes;
@@ -23,13 +23,55 @@ const ROUNDS: usize = 2;
 /// Share of its distance to the base by which a plane moves when a new cover changes nothing.
 const SHIFT_SHARE: f64 = 0.3;
 
+/// Of several choices of planes the one whose first cover leaves least on the coarse grid; of
+/// equals the first.
+pub fn most_promising<'n>(
+    run: &mut Run,
+    first: &Volumes,
+    of: &[Admissible<'n>],
+) -> Result<Admissible<'n>, PlanError> {
+    let Run { start, options, report, clock, ctx, .. } = run;
+    let mut covers: Vec<(Admissible, Vec<Plane>)> = Vec::new();
+    for admissible in of {
+        let setting = start.setting;
+        let planes = choose(setting, first, &start.bad_bases, admissible, options, report)?;
+        if covers.iter().all(|(_, known)| *known != planes) {
+            covers.push((*admissible, planes));
+        }
+    }
+    clock.lap("set_cover");
+    if let [(only, _)] = covers[..] {
+        return Ok(only);
+    }
+    let job = start.coarse.as_job();
+    let (setting, look) = (Setting::new(&job), Coarse::of(&job));
+    let mut best: Option<((u8, usize), Admissible)> = None;
+    for (admissible, planes) in covers {
+        let clips = planes.into_iter().map(Clip::global).collect();
+        let how = (*options, Mending::None);
+        let made = attempt(&setting, &look, clips, &start.preferred, how, ctx)?;
+        let rank = made.rank(&job);
+        tracing::debug!(keeps_base = admissible.keeps_base, ?rank, "cover");
+        if best.as_ref().is_none_or(|(r, _)| rank < *r) {
+            best = Some((rank, admissible));
+        }
+    }
+    clock.lap("blocks");
+    best.map(|(_, admissible)| admissible).ok_or(PlanError::Cancelled)
+}
+
 /// The best attempt under global planes.
-pub fn global_route(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError> {
-    let Run { start, normals, options, report, clock, ctx } = run;
+pub fn global_route(
+    run: &mut Run,
+    first: &Volumes,
+    admissible: &Admissible,
+) -> Result<Attempt, PlanError> {
+    let Run { start, options, report, clock, ctx, .. } = run;
     let Start { setting, .. } = start;
     let job = setting.job;
     let mut elements = start.bad_bases.clone();
-    let mut planes = choose(setting, first, &elements, normals, options, report)?;
+    let mut planes = choose(setting, first, &elements, admissible, options, report)?;
+    report.tell_planes(job, &planes);
     let mut best: Option<Attempt> = None;
     for round in 0..ROUNDS {
         ctx.check()?;
@@ -51,7 +93,7 @@ pub fn global_route(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError
         }
         elements
             .extend(best.iter().flat_map(|b| clusters(job, &b.excess.minus(&b.below), &b.deficit)));
-        let next = choose(setting, first, &elements, normals, options, report)?;
+        let next = choose(setting, first, &elements, admissible, options, report)?;
         planes = if next == planes { shifted(setting, &planes) } else { next };
         clock.lap("set_cover");
     }
@@ -62,11 +104,11 @@ pub fn choose(
     setting: &Setting,
     first: &Volumes,
     elements: &[Element],
-    normals: &[Direction],
+    admissible: &Admissible,
     options: &Options,
     report: &mut Report,
 ) -> Result<Vec<Plane>, PlanError> {
-    let found = cover(setting, &first.reused, elements, normals, options.cover)?;
+    let found = cover(setting, &first.reused, elements, admissible, options.cover)?;
     // The last cover knows all regions, so its note stands for those before it.
     report.notes.clear();
     if !found.uncovered.is_empty() {

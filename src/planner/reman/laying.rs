@@ -3,15 +3,17 @@
 //! Method. Everything a way can lay is found in one sweep from below: a voxel is laid when
 //! something carries it within the overhang angle and the nozzle stands at it clear of the state.
 //! What the block itself has laid lies lower along the direction and is never in the nozzle's way.
+//! From straight above, as clamped, the base carries its first layer.
 //!
 //! Guarantees: a block's voxels are carried, clear and connected when they are laid.
 
 use super::setting::Setting;
 use crate::access::{CarrierTable, Scene, nozzle_map, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
-use crate::machine::Tool;
+use crate::machine::{HoldingMode, Tool};
 use crate::plan::Job;
-use crate::voxel::BitGrid;
+use crate::region::steady;
+use crate::voxel::{BitGrid, Connectivity, Frame, flood};
 use rayon::prelude::*;
 
 /// A shorter nozzle is taken when it prints this share of what the longest prints.
@@ -26,6 +28,19 @@ pub struct Way<'a> {
     pub direction: Direction,
     pub holding: usize,
     pub tool: &'a Tool,
+}
+
+impl Way<'_> {
+    /// Whether its deposits may begin on the bare base: from straight above, held as clamped.
+    pub fn on_base(&self) -> bool {
+        self.holding == 0 && self.direction == Direction::Z
+    }
+}
+
+/// The lowest layer of a grid that lies over the base plane; of a grid coarser than the job's, for
+/// the most part.
+pub fn base_layer(frame: &Frame) -> Option<usize> {
+    (0..frame.dims[2]).find(|z| frame.center([0, 0, *z]).z >= 0.0)
 }
 
 /// The ways along `directions` with one nozzle, each in the first holding that can point there.
@@ -50,6 +65,7 @@ pub struct Block<'a> {
 }
 
 /// What can be laid on a state, on one grid.
+#[derive(Clone, Copy)]
 pub struct Layer<'s> {
     pub job: &'s Job,
     pub state: &'s BitGrid,
@@ -89,11 +105,16 @@ impl Layer<'_> {
         Ok(descending(&clear).into_iter().take(CLEAREST_WAYS).map(|i| ways[i]).collect())
     }
 
-    /// The block with the first of some shorter nozzles that lays nearly as much.
+    /// The block with the first of some shorter or coarser nozzles that lays nearly as much; with
+    /// a coarser tip all of it, since a crease that it leaves is closed by what it lays.
     pub fn with_shorter<'a>(&self, block: Block<'a>, shorter: &'a [Tool]) -> Block<'a> {
-        let least = SHORTER_TOOL_SHARE * block.gain as f64;
+        let tip = block.way.tool.tip_radius();
+        let enough = |b: &Block| {
+            let share = if b.way.tool.tip_radius() > tip { 1.0 } else { SHORTER_TOOL_SHARE };
+            b.gain as f64 >= share * block.gain as f64
+        };
         let mut short = shorter.iter().map(|tool| self.lay(Way { tool, ..block.way }));
-        short.find(|b| b.gain as f64 >= least).unwrap_or(block)
+        short.find(enough).unwrap_or(block)
     }
 
     /// The block that lays most of the core; of equals the first, none where nothing is laid.
@@ -121,13 +142,27 @@ impl Layer<'_> {
         voxels.sort_by(|a, b| a.1.total_cmp(&b.1));
         let mut solid = self.state.clone();
         let mut region = BitGrid::new(self.state.dims());
+        let plate = if way.on_base() { base_layer(&job.frame) } else { None };
         for (v, _) in voxels {
-            if table.carries(&solid, v) && joined(&solid, v) {
+            if plate == Some(v[2]) || table.carries(&solid, v) && joined(&solid, v) {
                 solid.set(v, true);
                 region.set(v, true);
             }
         }
+        if plate.is_some() && job.rules.holding == HoldingMode::Refixture {
+            self.keep_one_body(&mut region, &solid);
+        }
         Block { way, gain: region.count_and(self.core), region }
+    }
+
+    /// Drops what stands on the base beside the part: where steps may hold the part anew, it has to
+    /// stay one body.
+    fn keep_one_body(&self, region: &mut BitGrid, solid: &BitGrid) {
+        let body = match self.state.is_empty() {
+            true => steady(solid, &self.job.frame, HoldingMode::Refixture, 0.0),
+            false => flood(solid, self.state, Connectivity::Edge18),
+        };
+        region.intersect_with(&body);
     }
 }
 

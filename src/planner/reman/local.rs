@@ -12,7 +12,7 @@ use super::coarse::Coarse;
 use super::setting::Setting;
 use crate::access::{CellSet, Cells, Scene, nozzle_map, reachable};
 use crate::base::{DVec3, Direction};
-use crate::machine::HoldingMode;
+use crate::machine::{HoldingMode, Tool};
 use crate::plan::{Job, Plane};
 use crate::region::steady;
 use crate::voxel::{BitGrid, Components, Connectivity, components};
@@ -169,7 +169,7 @@ impl<'a> Scope<'a> {
         region: &BitGrid,
         normal: Direction,
     ) {
-        let Some(nozzle) = self.job.nozzles.last() else { return };
+        let Some(nozzle) = Tool::longest(&self.job.nozzles) else { return };
         while taken.iter().any(|t| !t) {
             let wanted = region.or(&pieces.grid_where(|p| taken[p as usize]));
             let mut more = false;

@@ -32,6 +32,10 @@
 //! - On request (`rounds`) what a round of cuts and deposits left gets a round of its own: the
 //!   state it ends in is the initial part of the next, in which only what still stands of the real
 //!   one counts as reused. The paper names such rounds as future work.
+//! - Where something would be missing, the part is printed on supports, and these are cut at the end
+//!   (`supports`), if that leaves less. The paper does without supports, to save their material.
+//! - With a second holding, planes that leave the part on its base are looked at beside all others:
+//!   deposits from straight above may then begin on the bare base.
 //! - A cut that would free a piece it does not reach leaves a bridge to it (`bridges`).
 //! - Directions are ranked on a coarser grid (`coarse`), and the blocks made on the job's own.
 //!
@@ -56,18 +60,21 @@ mod reasons;
 mod refine;
 mod round;
 mod setting;
+mod supports;
+#[cfg(test)]
+mod supports_tests;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
-use crate::plan::{Job, Plan, StepKind, end_state};
+use crate::plan::{Job, Plan, Plane, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::{PrintingBase, Volumes, printing_bases};
 use crate::voxel::BitGrid;
-use candidates::Element;
+use candidates::{Admissible, Element};
 use clip::Clip;
 use coarse::Coarse;
 use compared::{bottom_up, top_down};
-use global::{choose, global_route};
+use global::{choose, global_route, most_promising};
 use locals::{improved, is_complete, local_route};
 use round::{Attempt, deep, volumes};
 use setting::Setting;
@@ -83,6 +90,10 @@ pub struct Options {
     pub cover: CoverMethod,
     /// Rounds of cuts and then deposits, as long as one leaves less than the one before.
     pub rounds: usize,
+    /// Whether deposits may stand on supports that are cut away again.
+    pub supports: bool,
+    /// How far a printing base may be concave, mm, and still get no clipping plane.
+    pub base_tolerance_mm: f64,
     pub seed: u64,
 }
 
@@ -120,6 +131,8 @@ impl Default for Options {
             search: Search::Mcts,
             cover: CoverMethod::Ilp,
             rounds: 1,
+            supports: true,
+            base_tolerance_mm: 0.0,
             seed: 0,
         }
     }
@@ -254,7 +267,13 @@ fn one_round(
     let mut clock = Clock::default();
     let first = volumes(job, &[]);
     let (_, added) = deep(setting, &first);
-    let bases = printing_bases(&first.reused, &added, &job.initial_mesh, &job.frame);
+    let bases = printing_bases(
+        &first.reused,
+        &added,
+        &job.initial_mesh,
+        &job.frame,
+        options.base_tolerance_mm,
+    );
     report.base_height_ratio = base_height_ratio(job, &bases);
     let mut preferred = vec![Direction::Z];
     let good = bases.iter().filter(|b| b.plano_convex);
@@ -266,11 +285,9 @@ fn one_round(
         .collect();
     clock.lap("graph");
     let normals = plane_normals(job, options.directions);
-    let planes = choose(setting, &first, &bad_bases, &normals, options, &mut report)?;
-    let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
-    let initial = volumes(job, &clips).reused.count();
-    report.reuse_initial = initial as f64 / job.target.count() as f64;
-    report.planes_global = planes.len();
+    let all = Admissible::all(job, &normals);
+    let planes = choose(setting, &first, &bad_bases, &all, options, &mut report)?;
+    report.tell_planes(job, &planes);
     clock.lap("set_cover");
     let start = Start { setting, coarse: &coarse, preferred, bad_bases };
     let mut run = Run { start: &start, normals: &normals, options, report, clock, ctx };
@@ -279,16 +296,48 @@ fn one_round(
         Search::TopDown => top_down(&mut run, planes)?,
         Search::BottomUp => bottom_up(&mut run)?,
     };
+    let best = supported(&mut run, best)?;
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
     Ok((best, report))
 }
 
+/// The same on supports where that leaves less.
+fn supported(run: &mut Run, best: Attempt) -> Result<Attempt, PlanError> {
+    let Run { start, options, report, clock, ctx, .. } = run;
+    if !options.supports || best.deficit.is_empty() || ctx.out_of_time() {
+        return Ok(best);
+    }
+    let job = start.setting.job;
+    let made = start.on_supports(&best, Direction::Z, options, ctx)?;
+    clock.lap("blocks");
+    made.tell("supports", 0);
+    // A support in a pocket that is open only below stands for good.
+    if made.rank(job) >= best.rank(job) || made.left() >= best.left() {
+        return Ok(best);
+    }
+    let of_it = made.steps.iter().filter(|s| s.kind == StepKind::Additive);
+    let printed: usize = of_it.map(|s| s.region.minus(&job.target).count()).sum();
+    report.notes.push(format!(
+        "{:.1} mm³ of supports are printed and cut away again, since without them more is left.",
+        printed as f64 * job.frame.voxel_volume()
+    ));
+    Ok(made)
+}
+
 /// Global planes, and local ones where those gave up much or left something.
 fn searched(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError> {
     let job = run.start.setting.job;
-    let global = global_route(run, first)?;
+    let normals = run.normals;
+    let upright: Vec<Direction> = normals.iter().copied().filter(|n| n.vec().z >= 0.0).collect();
+    let mut admissible = vec![Admissible::all(job, normals)];
+    if job.rules.holding == HoldingMode::Refixture {
+        // Where the part still stands on the base, deposits can begin there as well.
+        admissible.push(Admissible { normals: &upright, keeps_base: true });
+    }
+    let chosen = most_promising(run, first, &admissible)?;
+    let global = global_route(run, first, &chosen)?;
     let kept = global.volumes.reused.count() as f64;
     let most = first.reused.count() as f64;
     let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
@@ -359,6 +408,14 @@ impl Report {
                 None => self.seconds.push((stage, *seconds)),
             }
         }
+    }
+
+    /// R_I and #C_b.
+    fn tell_planes(&mut self, job: &Job, planes: &[Plane]) {
+        let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
+        let initial = volumes(job, &clips).reused.count();
+        self.reuse_initial = initial as f64 / job.target.count() as f64;
+        self.planes_global = planes.len();
     }
 
     /// #P_S and #P_A, from what blocks leave while all that the global planes keep stands.

@@ -13,6 +13,7 @@
 use super::coarse::Coarse;
 use super::laying::{Block, Layer, Way, ways_along};
 use super::setting::Setting;
+use super::supports::lay_on_supports;
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
 use crate::plan::{Job, Origin, Plane, Step, StepKind};
@@ -74,35 +75,48 @@ pub fn print_blocks(
     shares: &[Share],
     ctx: &Ctx,
 ) -> Result<Printing, Cancelled> {
-    let start = Printing {
-        steps: Vec::new(),
-        state: wanted.state.clone(),
-        unreached: wanted.added.clone(),
-        shares: Vec::new(),
-    };
-    // Shorter nozzles reach less: they are asked once the direction is known.
-    let Some((longest, shorter)) = setting.job.nozzles.split_last() else { return Ok(start) };
-    let sampled: Vec<Direction> =
-        (0..setting.holdings.len()).flat_map(|h| setting.sampled(h, wanted.samples)).collect();
-    let core = coarse.most(wanted.core);
-    let share = LEAST_SHARE * wanted.core.count() as f64;
-    let mut press = Press {
-        setting,
-        coarse,
-        wanted,
-        core,
-        preferred: ways_along(setting, wanted.preferred, longest),
-        sampled: ways_along(setting, &sampled, longest),
-        shorter,
-        least: share.max(LEAST_MM3 / setting.job.frame.voxel_volume()).ceil() as usize,
-        printing: start,
-        held: None,
+    let Some(mut press) = Press::new(setting, coarse, wanted) else {
+        return Ok(wanted.unprinted());
     };
     if !shares.is_empty() {
         press.print_shares(shares, ctx)?;
     }
     press.print_among(wanted.added, ctx)?;
     Ok(press.printing)
+}
+
+/// The same, but first all that goes along one direction, with supports where nothing carries it.
+pub fn print_on_supports(
+    setting: &Setting,
+    coarse: &Coarse,
+    wanted: &Wanted,
+    direction: Direction,
+    ctx: &Ctx,
+) -> Result<Printing, Cancelled> {
+    let Some(mut press) = Press::new(setting, coarse, wanted) else {
+        return Ok(wanted.unprinted());
+    };
+    if let Some(way) = press.way_along(direction) {
+        let fixed = press.fixed();
+        let left = wanted.added.clone();
+        let block = lay_on_supports(&press.fine(&left, &fixed), way);
+        if block.gain >= press.least {
+            press.take(block, left, fixed);
+        }
+    }
+    press.print_among(wanted.added, ctx)?;
+    Ok(press.printing)
+}
+
+impl Wanted<'_> {
+    fn unprinted(&self) -> Printing {
+        Printing {
+            steps: Vec::new(),
+            state: self.state.clone(),
+            unreached: self.added.clone(),
+            shares: Vec::new(),
+        }
+    }
 }
 
 struct Press<'s, 'a> {
@@ -121,6 +135,29 @@ struct Press<'s, 'a> {
     held: Option<(usize, Vec<DVec3>)>,
 }
 
+impl<'s, 'a> Press<'s, 'a> {
+    /// None without a nozzle. Shorter nozzles reach less: they are asked once the direction is
+    /// known.
+    fn new(setting: &'s Setting<'a>, coarse: &'s Coarse, wanted: &'s Wanted<'s>) -> Option<Self> {
+        let (longest, shorter) = setting.job.nozzles.split_last()?;
+        let sampled: Vec<Direction> =
+            (0..setting.holdings.len()).flat_map(|h| setting.sampled(h, wanted.samples)).collect();
+        let core = coarse.most(wanted.core);
+        let share = LEAST_SHARE * wanted.core.count() as f64;
+        Some(Press {
+            setting,
+            coarse,
+            wanted,
+            core,
+            preferred: ways_along(setting, wanted.preferred, longest),
+            sampled: ways_along(setting, &sampled, longest),
+            shorter,
+            least: share.max(LEAST_MM3 / setting.job.frame.voxel_volume()).ceil() as usize,
+            printing: wanted.unprinted(),
+            held: None,
+        })
+    }
+}
 impl<'a> Press<'_, 'a> {
     /// Blocks among some of what is wanted, until none of them lays enough.
     fn print_among(&mut self, some: &BitGrid, ctx: &Ctx) -> Result<(), Cancelled> {
@@ -161,6 +198,12 @@ impl<'a> Press<'_, 'a> {
         Ok(())
     }
 
+    /// The first of the ways along a direction.
+    fn way_along(&self, direction: Direction) -> Option<Way<'a>> {
+        let ways = self.preferred.iter().chain(&self.sampled);
+        ways.copied().find(|w| w.direction == direction)
+    }
+
     fn print_share(
         &mut self,
         direction: Direction,
@@ -169,9 +212,7 @@ impl<'a> Press<'_, 'a> {
     ) -> Result<(), Cancelled> {
         let left = share.and(&self.printing.unreached);
         let fixed = self.fixed();
-        let own = |w: &&Way| w.direction == direction;
-        let ways = self.preferred.iter().chain(&self.sampled);
-        let own: Vec<Way<'a>> = ways.filter(own).take(1).copied().collect();
+        let own: Vec<Way<'a>> = self.way_along(direction).into_iter().collect();
         if let Some(block) = self.fine(&left, &fixed).best(&own, ctx)? {
             let block = self.fine(&left, &fixed).with_shorter(block, self.shorter);
             self.take(block, left, fixed);

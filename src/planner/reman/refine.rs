@@ -267,7 +267,7 @@ fn graph(
         directions.extend(scope.setting.sampled(holding, GRAPH_DIRECTIONS.min(options.directions)));
     }
     directions.dedup();
-    let longest = |tools: &[Tool]| tools.last().cloned().into_iter().collect::<Vec<Tool>>();
+    let longest = |tools| Tool::longest(tools).cloned().into_iter().collect::<Vec<Tool>>();
     let (cutters, nozzles) = (longest(&job.cutters), longest(&job.nozzles));
     let open = open_to(scope, &demands, &directions, &cutters, &nozzles);
     let is_open = |d: &Demand, i: usize, _: &Tool| {

@@ -62,7 +62,13 @@ fn tool(kind: ToolKind) -> impl Strategy<Value = Tool> {
                 sections.push(section(Shape::Platform { z: top + 2.0 }, false));
             }
             let name = if active { "cutter" } else { "nozzle" };
-            Tool { name: name.into(), kind, sections, process: Process::default() }
+            Tool {
+                name: name.into(),
+                kind,
+                sections,
+                process: Process::default(),
+                fine_grids_only: false,
+            }
         },
     )
 }

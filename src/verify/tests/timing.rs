@@ -25,6 +25,7 @@ fn long_cutter() -> Tool {
             section(cylinder(120.0, 200.0, 40.0), false),
         ],
         process: Process::default(),
+        fine_grids_only: false,
     }
 }
 
@@ -38,6 +39,7 @@ fn long_nozzle() -> Tool {
             section(Shape::Platform { z: 30.0 }, false),
         ],
         process: Process::default(),
+        fine_grids_only: false,
     }
 }
 

@@ -1,0 +1,136 @@
+//! Supports and the bare base on worlds small enough to know the answer.
+
+use super::laying::{Layer, Way, base_layer, joined};
+use super::setting::Setting;
+use super::supports::lay_on_supports;
+use super::{Options, plan};
+use crate::access::CarrierTable;
+use crate::base::{Ctx, DVec3, Direction};
+use crate::machine::{HoldingMode, Machine, Tool, ToolKind};
+use crate::mesh::TriMesh;
+use crate::plan::{Job, Rules, StepKind};
+use crate::verify::verify;
+use crate::voxel::{BitGrid, Frame};
+
+const DIMS: [usize; 3] = [44, 24, 30];
+
+/// A plate, and a target with a mushroom on it: a post and a flat roof far wider than 50° allows.
+fn job() -> Job {
+    let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+    let plate = |[x, y, z]: [usize; 3]| (1..43).contains(&x) && (1..23).contains(&y) && z < 4;
+    let initial = BitGrid::from_fn(DIMS, plate);
+    let target = BitGrid::from_fn(DIMS, |[x, y, z]| {
+        let post = (18..26).contains(&x) && (8..16).contains(&y);
+        let roof = (6..38).contains(&x) && (4..20).contains(&y) && (16..20).contains(&z);
+        plate([x, y, z]) || post && z < 20 || roof
+    });
+    let machine = Machine::builtin("generic-5axis").unwrap();
+    let tools = |kind| -> Vec<Tool> {
+        let of = machine.tools_of(kind).into_iter().filter(|t| !t.fine_grids_only);
+        of.cloned().collect()
+    };
+    let (cutters, nozzles) = (tools(ToolKind::Subtractive), tools(ToolKind::Additive));
+    let mesh = TriMesh::new(Vec::new(), Vec::new()).unwrap();
+    let rules = Rules::for_pitch(frame.pitch, 0.2);
+    Job {
+        frame,
+        initial,
+        target,
+        initial_mesh: mesh.clone(),
+        target_mesh: mesh,
+        machine,
+        cutters,
+        nozzles,
+        rules,
+    }
+}
+
+/// A way straight from above.
+fn upright(job: &Job) -> Way<'_> {
+    Way { direction: Direction::Z, holding: 0, tool: Tool::longest(&job.nozzles).unwrap() }
+}
+
+/// Whether every voxel of a region stands on something when it is laid from below along z.
+fn is_carried(job: &Job, state: &BitGrid, region: &BitGrid) -> bool {
+    let table = CarrierTable::new(Direction::Z, job.rules.overhang_deg);
+    let mut solid = state.clone();
+    let plate = base_layer(&job.frame);
+    region.iter_ones().all(|v| {
+        let stands = plate == Some(v[2]) || table.carries(&solid, v) && joined(&solid, v);
+        solid.set(v, true);
+        stands
+    })
+}
+
+#[test]
+fn a_roof_is_printed_whole_on_supports_that_reach_down_to_the_part() {
+    let job = job();
+    let setting = Setting::new(&job);
+    let left = job.target.minus(&job.initial);
+    let fixed = vec![setting.fixed(0, &job.initial)];
+    let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
+    let plain = layer.lay(upright(&job));
+    assert!(plain.gain < left.count(), "the roof overhangs");
+    let block = lay_on_supports(&layer, upright(&job));
+    assert!(left.is_subset_of(&block.region));
+    assert!(is_carried(&job, &job.initial, &block.region));
+    let supports = block.region.minus(&left);
+    assert!(!supports.intersects(&job.target));
+    // What the post's flare carries needs none: fewer than columns under the whole roof.
+    assert!(supports.count() < 12 * (32 * 16 - 8 * 8), "{}", supports.count());
+}
+
+#[test]
+fn supports_lean_past_what_the_nozzle_does_not_get_at() {
+    let mut job = job();
+    // A wall as high as the roof is low, close under its edge: the nozzle keeps 2 mm away from it.
+    let wall = |[x, y, z]: [usize; 3]| (36..38).contains(&x) && (2..22).contains(&y) && z < 12;
+    let with_wall = BitGrid::from_fn(DIMS, |v| job.initial.get(v) || wall(v));
+    job.initial = with_wall.clone();
+    job.target.union_with(&with_wall);
+    let setting = Setting::new(&job);
+    let left = job.target.minus(&job.initial);
+    let fixed = vec![setting.fixed(0, &job.initial)];
+    let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
+    let block = lay_on_supports(&layer, upright(&job));
+    assert!(left.is_subset_of(&block.region), "{} left", left.minus(&block.region).count());
+    assert!(is_carried(&job, &job.initial, &block.region));
+}
+
+#[test]
+fn a_plan_prints_supports_cuts_them_and_verifies() {
+    let job = job();
+    let ctx = Ctx::quiet();
+    let (made, report) = plan(&job, &Options::default(), &ctx).unwrap();
+    let verdict = verify(&job, made, &ctx).unwrap();
+    assert!(verdict.passed(), "{:?}", verdict.rules);
+    let kinds: Vec<StepKind> = verdict.plan.steps.iter().map(|s| s.kind).collect();
+    let last_deposit = kinds.iter().rposition(|k| *k == StepKind::Additive);
+    let last_cut = kinds.iter().rposition(|k| *k == StepKind::Subtractive);
+    assert!(last_cut > last_deposit, "the supports are cut last: {kinds:?}");
+    assert!(report.notes.iter().any(|n| n.contains("supports")), "{:?}", report.notes);
+}
+
+#[test]
+fn what_stands_beside_the_part_begins_on_the_bare_base() {
+    let mut job = job();
+    job.initial =
+        BitGrid::from_fn(DIMS, |[x, y, z]| (1..12).contains(&x) && (1..23).contains(&y) && z < 10);
+    job.target = BitGrid::from_fn(DIMS, |[x, y, z]| {
+        (1..12).contains(&x) && (1..23).contains(&y) && z < 10
+            || (24..40).contains(&x) && (4..20).contains(&y) && z < 12
+    });
+    let left = job.target.minus(&job.initial);
+    for (holding, laid) in [(HoldingMode::Base, left.count()), (HoldingMode::Refixture, 0)] {
+        job.rules.holding = holding;
+        let setting = Setting::new(&job);
+        let fixed = vec![setting.fixed(0, &job.initial)];
+        let layer =
+            Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
+        // Held anew, it would be a second body.
+        assert_eq!(layer.lay(upright(&job)).gain, laid, "{holding:?}");
+        let tilted = Direction::new(DVec3::new(0.1, 0.0, 1.0)).unwrap();
+        let way = Way { direction: tilted, ..upright(&job) };
+        assert_eq!(layer.lay(way).gain, 0, "only from straight above");
+    }
+}
