@@ -196,3 +196,17 @@ proptest! {
         prop_assert!(report.winner.reused_share >= LEAST_SHARE * most, "{:?}", report);
     }
 }
+
+/// A post twice as high as the block it comes from: it is laid down, so that all but its upper
+/// fifth is kept below what is missing; standing it would be a half.
+#[test]
+fn under_what_is_missing_as_much_as_can_be_is_kept() {
+    let initial = TriMesh::cuboid(DVec3::ZERO, DVec3::new(40.0, 40.0, 16.0));
+    let target = TriMesh::cuboid(DVec3::new(30.0, 0.0, 0.0), DVec3::new(50.0, 20.0, 32.0));
+    let options =
+        SetupOptions { rotations: 10, carried: 2, score: Score::Under, ..SetupOptions::default() };
+    let report = search(&initial, &target, &options, &Ctx::quiet()).unwrap();
+    let pair = Pair::new(&Problem { initial: &initial, target: &target }, &options, &Ctx::quiet());
+    let kept = pair.unwrap().measure(Sampling::Fine, &report.winner.transform);
+    assert!(kept.under_share > 0.75, "{kept:?}");
+}
