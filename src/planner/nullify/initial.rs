@@ -98,10 +98,7 @@ pub(super) fn from_initial(
         }
         layer = floor.checked_sub(1);
     }
-    let mut operations = match freed(initial, &BitGrid::new(target.dims()), options, ctx)? {
-        Ok(operations) => operations,
-        Err(locked) => return Err(locked.into()),
-    };
+    let mut operations = freed(initial, &BitGrid::new(target.dims()), options, ctx)??;
     operations.extend(super::operations(target, options, ctx)?);
     Ok((operations, 0))
 }

@@ -87,12 +87,15 @@ fn a_bracket_lies_in_its_block_although_their_feet_differ() {
 #[test]
 fn the_base_decides_between_equal_volumes() {
     let at = |lowest_mm: Option<f64>, base_share: f64| {
-        score_fine(&Measured { share: 0.5, top_mm: 20.0, lowest_mm, base_share }, Score::Both)
+        let under_share = 0.0;
+        let measured = Measured { share: 0.5, top_mm: 20.0, lowest_mm, base_share, under_share };
+        score_fine(&measured, Score::Both)
     };
     assert!((at(Some(20.0), 1.0 / 6.0) - (0.2 + 0.6 * (1.0 + 25.0 / 36.0))).abs() < 1e-12);
     assert!((at(Some(5.0), 0.5) - (0.2 + 0.6 * (0.25 + 0.25))).abs() < 1e-12);
     assert!(at(Some(0.0), 0.5) < at(Some(5.0), 0.5) && at(None, 0.0) > at(Some(5.0), 0.0));
-    let nothing = Measured { share: 0.0, top_mm: 0.0, lowest_mm: None, base_share: 0.0 };
+    let nothing =
+        Measured { share: 0.0, top_mm: 0.0, lowest_mm: None, base_share: 0.0, under_share: 0.0 };
     assert_eq!(score_fine(&nothing, Score::Both), 0.0, "no reuse is no good setup");
 }
 
