@@ -89,10 +89,9 @@ pub struct PlanArgs {
     /// How planner reman chooses global clipping planes
     #[arg(long, value_enum, default_value_t = SetCoverArg::Ilp, help_heading = "Search")]
     pub set_cover: SetCoverArg,
-    /// What the setup search scores: reused volume and printing bases, one of them alone, or the
-    /// volume kept below all that is missing [default: both, under for planner nullify]
-    #[arg(long, value_enum, help_heading = "Search")]
-    pub setup_score: Option<SetupScoreArg>,
+    /// What the setup search scores: reused volume and printing bases, or one of them alone
+    #[arg(long, value_enum, default_value_t = SetupScoreArg::Both, help_heading = "Search")]
+    pub setup_score: SetupScoreArg,
     /// Best placements of the setup search that planner reman plans in full; the best plan is kept
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=11))]
     pub setup_candidates: u32,
@@ -380,8 +379,6 @@ pub enum SetupScoreArg {
     Both,
     Volume,
     Base,
-    /// What is kept below all that is missing
-    Under,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

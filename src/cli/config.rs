@@ -169,12 +169,9 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
             ..reman::Options::default()
         },
         setup_score: match args.setup_score {
-            Some(args::SetupScoreArg::Under) => setup::Score::Under,
-            Some(args::SetupScoreArg::Both) => setup::Score::Both,
-            Some(args::SetupScoreArg::Volume) => setup::Score::Volume,
-            Some(args::SetupScoreArg::Base) => setup::Score::Base,
-            None if nullified => setup::Score::Under,
-            None => setup::Score::Both,
+            args::SetupScoreArg::Both => setup::Score::Both,
+            args::SetupScoreArg::Volume => setup::Score::Volume,
+            args::SetupScoreArg::Base => setup::Score::Base,
         },
         setup_candidates: candidates(args, nullified)?,
         time_limit_s: args.time_limit,

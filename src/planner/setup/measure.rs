@@ -114,8 +114,6 @@ pub(super) struct Measured {
     pub lowest_mm: Option<f64>,
     /// Area of the interface by the target's surface.
     pub base_share: f64,
-    /// Volume of the kept Ṽ_R below all of the target that is missing, by the target's.
-    pub under_share: f64,
 }
 
 impl Pair {
@@ -169,7 +167,6 @@ impl Pair {
             top_mm: top(lattice, &kept, place),
             lowest_mm,
             base_share: (area / self.target_area).min(1.0),
-            under_share: under(lattice, &kept, place) as f64 / lattice.voxels as f64,
         }
     }
 
@@ -228,14 +225,6 @@ impl Pair {
     }
 }
 
-/// Voxels kept below the lowest one of the solid that is not.
-fn under(lattice: &Lattice, kept: &BitGrid, place: &DAffine3) -> usize {
-    let missing = lattice.solid.minus(kept);
-    let height = |v: [usize; 3]| place.transform_point3(lattice.frame.center(v)).z;
-    let lowest = missing.iter_ones().map(height).fold(f64::INFINITY, f64::min);
-    kept.iter_ones().filter(|v| height(*v) < lowest).count()
-}
-
 /// Height of the highest point of a set of voxels, mm.
 fn top(lattice: &Lattice, set: &BitGrid, place: &DAffine3) -> f64 {
     let ends = set.runs().flat_map(|(y, z, x, len)| [[x, y, z], [x + len - 1, y, z]]);
@@ -292,7 +281,6 @@ mod tests {
             assert!((m.top_mm - 20.0).abs() < 0.6, "{m:?}");
             assert!((m.lowest_mm.unwrap() - 20.0).abs() < 1e-9, "{m:?}");
             assert!((m.base_share - 1.0 / 6.0).abs() < 0.005, "{m:?}");
-            assert_eq!(m.under_share, m.share);
         }
     }
 
@@ -303,7 +291,6 @@ mod tests {
         let m = pair(&initial, &target).measure(Sampling::Coarse, &DAffine3::IDENTITY);
         assert!((m.share - 0.5).abs() < 0.02 && m.lowest_mm.unwrap() < 2.0, "{m:?}");
         assert!((m.base_share - 1.0 / 6.0).abs() < 0.01, "{m:?}");
-        assert_eq!(m.under_share, 0.0);
     }
 
     #[test]

@@ -29,7 +29,6 @@
 //! - The best placement of each carried rotation is shifted and turned about z by ever halved
 //!   steps while Score₂ gains, the winner (and as many more as are asked for) on a finer grid: a
 //!   tenth of the extent is coarser than any tool.
-//! - For planner nullify both scores are [`Score::Under`], which no printing base enters.
 //! - Placements that reuse far less than the best found do not compete, whatever their Score₂.
 //! - Min_B leaves out a speck of the interface, which would decide it by the grid alone.
 //!
@@ -61,14 +60,7 @@ pub enum Score {
     Both,
     Volume,
     Base,
-    /// What is kept below all that is missing: what a nozzle that is a half-space lets nullification
-    /// reuse. It stands for both scores, at every stage.
-    Under,
 }
-
-/// Weight of the volume beside that of what is kept below all that is missing: where nothing is,
-/// it leads toward a place where something may be. Much more, and it outvotes what counts.
-const UNDER_VOLUME: f64 = 0.1;
 
 impl Score {
     fn weights(self) -> (f64, f64) {
@@ -76,7 +68,6 @@ impl Score {
             Score::Both => (0.4, 0.6),
             Score::Volume => (1.0, 0.0),
             Score::Base => (0.0, 1.0),
-            Score::Under => (UNDER_VOLUME, 0.0),
         }
     }
 }
@@ -348,11 +339,7 @@ impl Stage<'_> {
         let trial = |stance: Stance, at: DVec2, facing: f64| {
             let share = self.pair.share(&stance.standing_at(at));
             let (of_volume, of_bases) = self.score.weights();
-            let mut score_coarse = of_volume * share + of_bases * facing;
-            if self.score == Score::Under {
-                let place = stance.standing_at(at);
-                score_coarse += self.pair.measure(Sampling::Coarse, &place).under_share;
-            }
+            let score_coarse = of_volume * share + of_bases * facing;
             Trial { stance, at, score_coarse, score_fine: 0.0, share, is_file_pose: false }
         };
         let trials = self.each("setup: rotations", &flat, |(f, stance, at)| {
@@ -504,8 +491,7 @@ fn score_fine(m: &Measured, score: Score) -> f64 {
     let height = m.lowest_mm.map_or(1.0, |z| (z / m.top_mm).clamp(0.0, 1.0));
     let clear = 1.0 - m.base_share;
     let (of_volume, of_bases) = score.weights();
-    let of_under = if score == Score::Under { m.under_share } else { 0.0 };
-    of_under + of_volume * m.share + of_bases * (height + clear * clear)
+    of_volume * m.share + of_bases * (height + clear * clear)
 }
 
 impl Trial {

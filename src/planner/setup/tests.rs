@@ -87,15 +87,12 @@ fn a_bracket_lies_in_its_block_although_their_feet_differ() {
 #[test]
 fn the_base_decides_between_equal_volumes() {
     let at = |lowest_mm: Option<f64>, base_share: f64| {
-        let under_share = 0.0;
-        let measured = Measured { share: 0.5, top_mm: 20.0, lowest_mm, base_share, under_share };
-        score_fine(&measured, Score::Both)
+        score_fine(&Measured { share: 0.5, top_mm: 20.0, lowest_mm, base_share }, Score::Both)
     };
     assert!((at(Some(20.0), 1.0 / 6.0) - (0.2 + 0.6 * (1.0 + 25.0 / 36.0))).abs() < 1e-12);
     assert!((at(Some(5.0), 0.5) - (0.2 + 0.6 * (0.25 + 0.25))).abs() < 1e-12);
     assert!(at(Some(0.0), 0.5) < at(Some(5.0), 0.5) && at(None, 0.0) > at(Some(5.0), 0.0));
-    let nothing =
-        Measured { share: 0.0, top_mm: 0.0, lowest_mm: None, base_share: 0.0, under_share: 0.0 };
+    let nothing = Measured { share: 0.0, top_mm: 0.0, lowest_mm: None, base_share: 0.0 };
     assert_eq!(score_fine(&nothing, Score::Both), 0.0, "no reuse is no good setup");
 }
 
@@ -198,18 +195,4 @@ proptest! {
         let most = report.best.iter().map(|c| c.reused_share).fold(0.0, f64::max);
         prop_assert!(report.winner.reused_share >= LEAST_SHARE * most, "{:?}", report);
     }
-}
-
-/// A post twice as high as the block it comes from: it is laid down, so that all but its upper
-/// fifth is kept below what is missing; standing it would be a half.
-#[test]
-fn under_what_is_missing_as_much_as_can_be_is_kept() {
-    let initial = TriMesh::cuboid(DVec3::ZERO, DVec3::new(40.0, 40.0, 16.0));
-    let target = TriMesh::cuboid(DVec3::new(30.0, 0.0, 0.0), DVec3::new(50.0, 20.0, 32.0));
-    let options =
-        SetupOptions { rotations: 10, carried: 2, score: Score::Under, ..SetupOptions::default() };
-    let report = search(&initial, &target, &options, &Ctx::quiet()).unwrap();
-    let pair = Pair::new(&Problem { initial: &initial, target: &target }, &options, &Ctx::quiet());
-    let kept = pair.unwrap().measure(Sampling::Fine, &report.winner.transform);
-    assert!(kept.under_share > 0.75, "{kept:?}");
 }
