@@ -81,7 +81,7 @@ fn whole_slices(set: &BitGrid, element: &Element, window: &Window) -> Vec<bool> 
 /// The set with its rows moved to start at `lo`, `n` voxels long.
 fn placed(set: &BitGrid, lo: i64, n: usize) -> std::borrow::Cow<'_, BitGrid> {
     let [nx, ny, nz] = set.dims();
-    if lo == 0 && n.div_ceil(64) == nx.div_ceil(64) {
+    if lo == 0 && n.div_ceil(64) == nx.div_ceil(64) && set.is_whole() {
         return std::borrow::Cow::Borrowed(set);
     }
     let mut out = BitGrid::new([n, ny, nz]);
@@ -302,9 +302,9 @@ impl Work<'_> {
     /// Row `y` of slice `z` of the set; none outside it.
     #[inline(always)]
     fn row(&self, y: i64, z: usize, w: usize) -> Option<&[u64]> {
-        let [_, ny, _] = self.set.dims();
-        let y = usize::try_from(y).ok().filter(|y| *y < ny)?;
-        self.set.words().get((z * ny + y) * w..(z * ny + y + 1) * w)
+        let [_, ny, nz] = self.set.dims();
+        let y = usize::try_from(y).ok().filter(|y| *y < ny && z < nz)?;
+        self.set.row(y, z).get(..w)
     }
 
     /// The rows at `y` of a section's slices, dilated by a stack of chords: all slices take each
@@ -323,7 +323,8 @@ impl Work<'_> {
         gathered.clear(s.rows_in.len(), w);
         let mut any = 0;
         let slice = self.set.dims()[1] * w;
-        let slices = &self.set.words()[s.rows_in.start * slice..s.rows_in.end * slice];
+        let words = self.set.words();
+        let slices = &words[s.rows_in.start * slice..s.rows_in.end * slice];
         for step in steps {
             for dy in &step.dys {
                 let from = match usize::try_from(y - dy) {

@@ -1,4 +1,5 @@
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// A set of voxels: one bit each, rows of u64 words along x, rows ordered by y, then z.
 ///
@@ -56,7 +57,8 @@ impl BitGrid {
         self.first / w..(self.first + self.words.len()) / w
     }
 
-    fn is_whole(&self) -> bool {
+    /// Whether all rows are stored.
+    pub(crate) fn is_whole(&self) -> bool {
         self.words.len() == self.words_per_row * self.dims[1] * self.dims[2]
     }
 
@@ -91,13 +93,14 @@ impl BitGrid {
         self.words_per_row
     }
 
-    /// All words.
-    ///
-    /// # Panics
-    /// When the grid was made by [`BitGrid::with_rows`] and not written to elsewhere.
-    pub fn words(&self) -> &[u64] {
-        assert!(self.is_whole(), "the words of a grid that stores some rows alone");
-        &self.words
+    /// All words, copied when the grid stores some rows alone.
+    pub fn words(&self) -> Cow<'_, [u64]> {
+        if self.is_whole() {
+            return Cow::Borrowed(&self.words);
+        }
+        let mut whole = self.clone();
+        whole.make_whole();
+        Cow::Owned(whole.words)
     }
 
     /// Valid bits of the last word of a row.
@@ -443,6 +446,16 @@ mod tests {
             g.iter_ones().for_each(|v| ones.set(v, true));
             prop_assert_eq!(&ones, &g);
             prop_assert_eq!(g.iter_ones().count(), g.count());
+        }
+
+        #[test]
+        fn a_grid_of_some_rows_has_the_words_of_the_whole(g in grid()) {
+            let first = g.stored_rows().start..g.dims()[1];
+            let mut some = BitGrid::with_rows(g.dims(), first);
+            let whole = BitGrid::from_fn(g.dims(), |v| v[2] == 0 && g.get(v));
+            whole.iter_ones().for_each(|v| some.set(v, true));
+            prop_assert_eq!(some.words(), whole.words());
+            prop_assert_eq!(&some, &whole);
         }
 
         #[test]

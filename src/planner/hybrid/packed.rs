@@ -25,7 +25,7 @@ impl Packed {
             }
         }
         runs.shrink_to_fit();
-        Packed { dims: grid.dims(), runs, key: key(grid.words()) }
+        Packed { dims: grid.dims(), runs, key: key(&grid.words()) }
     }
 
     pub fn grid(&self) -> BitGrid {

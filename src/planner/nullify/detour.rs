@@ -30,6 +30,12 @@ pub(super) const MOST_VISITS: usize = 10_000;
 /// The same for a tree that ends in the air: a longer way is not worth the tree.
 pub(super) const NEAR_VISITS: usize = 3_000;
 
+/// How much more than the cheapest a way may cost to be taken in the same search, and how far it
+/// lies from those at least, in cells. A search costs what it begins from, and a broad underside
+/// takes ways by the hundred.
+const SLACK: u32 = 2;
+const APART: i32 = 16;
+
 /// Scratch space for all searches of one plan.
 pub(super) struct Detour {
     /// Place of a cell in `visits`, plus one; 0 for cells not looked at.
@@ -51,8 +57,8 @@ impl Detour {
         Detour { place: vec![0; w.len()], visits: Vec::new() }
     }
 
-    /// Accretes one way from any of `sources`, given with the cost of each, to grounded material;
-    /// what was accreted, in order.
+    /// Accretes ways from some of `sources`, given with the cost of each, to grounded material: the
+    /// cheapest, and those that cost hardly more and lie apart; what was accreted, in order.
     pub fn connect(
         &mut self,
         w: &mut Workpiece,
@@ -64,10 +70,8 @@ impl Detour {
             return added;
         }
         let usable = |w: &Workpiece, c| w.empty(c) && w.always_open(c);
-        let way = self.search(w, b, sources, usize::MAX, usable).unwrap_or_default();
-        let added = build(w, &way).unwrap_or_default();
-        b.accreted(w, &way[..added.len()]);
-        added
+        let ways = self.search(w, b, sources, usize::MAX, usable);
+        build_all(w, b, &ways).unwrap_or_default()
     }
 
     /// The same with no guarantee: nothing when no way is found or each one bars itself.
@@ -81,19 +85,19 @@ impl Detour {
         let mut barred: Vec<Cell> = Vec::new();
         for _ in 0..ATTEMPTS {
             let usable = |w: &Workpiece, c| w.empty(c) && w.access(c) && !barred.contains(&c);
-            let Some(way) = self.search(w, b, sources, most_visits, usable) else { break };
-            match build(w, &way) {
-                Ok(added) => {
-                    b.accreted(w, &way);
-                    return added;
-                }
+            let ways = self.search(w, b, sources, most_visits, usable);
+            if ways.is_empty() {
+                break;
+            }
+            match build_all(w, b, &ways) {
+                Ok(added) => return added,
                 Err(cell) => barred.push(cell),
             }
         }
         Vec::new()
     }
 
-    /// The cheapest way, from the ground to the source.
+    /// The ways to take, each from the ground to its source, the cheapest first.
     fn search(
         &mut self,
         w: &Workpiece,
@@ -101,13 +105,13 @@ impl Detour {
         sources: &[(Cell, u32)],
         most_visits: usize,
         usable: impl Fn(&Workpiece, Cell) -> bool,
-    ) -> Option<Vec<Cell>> {
-        let way = self.run(w, b, sources, most_visits, usable).map(|ground| self.trace(ground));
+    ) -> Vec<Vec<Cell>> {
+        let ways = self.run(w, b, sources, most_visits, usable);
         self.visits.drain(..).for_each(|v| self.place[v.cell as usize] = 0);
-        way
+        ways
     }
 
-    /// Dijkstra's search; the visit it arrives with.
+    /// Dijkstra's search.
     fn run(
         &mut self,
         w: &Workpiece,
@@ -115,7 +119,7 @@ impl Detour {
         sources: &[(Cell, u32)],
         most_visits: usize,
         usable: impl Fn(&Workpiece, Cell) -> bool,
-    ) -> Option<u32> {
+    ) -> Vec<Vec<Cell>> {
         let mut heap = BinaryHeap::new();
         for &(s, cost) in sources {
             let v = self.visit(w, s, &usable);
@@ -126,13 +130,23 @@ impl Detour {
             }
         }
         let offsets = w.offsets();
+        let mut found = Found::default();
+        let mut most_cost = u32::MAX;
         while let Some(Reverse((cost, cell, arrived))) = heap.pop() {
+            if cost > most_cost {
+                break;
+            }
             let v = self.place[cell as usize] - 1;
             if arrived {
-                return Some(v);
+                most_cost = most_cost.min(cost + SLACK);
+                found.take(w, self.trace(v));
+                if sources.len() == 1 {
+                    break;
+                }
+                continue;
             }
             if self.visits.len() > most_visits {
-                return None;
+                break;
             }
             if std::mem::replace(&mut self.visits[v as usize].done, true) {
                 continue;
@@ -156,7 +170,7 @@ impl Detour {
                 }
             }
         }
-        None
+        found.ways
     }
 
     /// The visit of a cell, a new one with no cost where there was none.
@@ -183,6 +197,55 @@ impl Detour {
             way.push(self.visits[at as usize].cell);
         }
         way
+    }
+}
+
+/// Ways that lie apart.
+#[derive(Default)]
+struct Found {
+    ways: Vec<Vec<Cell>>,
+    /// Their boxes, widened.
+    boxes: Vec<[(i32, i32); 3]>,
+}
+
+impl Found {
+    fn take(&mut self, w: &Workpiece, way: Vec<Cell>) {
+        let mut span = [(i32::MAX, i32::MIN); 3];
+        for cell in &way {
+            for (span, at) in span.iter_mut().zip(w.voxel(*cell)) {
+                *span = (span.0.min(at), span.1.max(at));
+            }
+        }
+        let meets =
+            |b: &[(i32, i32); 3]| b.iter().zip(&span).all(|(b, s)| b.0 <= s.1 && s.0 <= b.1);
+        if !self.boxes.iter().any(meets) {
+            self.boxes.push(span.map(|(low, high)| (low - APART, high + APART)));
+            self.ways.push(way);
+        }
+    }
+}
+
+/// Accretes those of the ways that bar nothing of themselves or of the ones before; the first cell
+/// that cannot be reached when that is none.
+fn build_all(
+    w: &mut Workpiece,
+    b: &mut Bottleneck,
+    ways: &[Vec<Cell>],
+) -> Result<Vec<(Cell, Ways)>, Cell> {
+    let mut added = Vec::new();
+    let mut barred = None;
+    for way in ways {
+        match build(w, way) {
+            Ok(new) => {
+                b.accreted(w, way);
+                added.extend(new);
+            }
+            Err(cell) => barred = barred.or(Some(cell)),
+        }
+    }
+    match barred {
+        Some(cell) if added.is_empty() => Err(cell),
+        _ => Ok(added),
     }
 }
 

@@ -8,8 +8,17 @@
 //!
 //! The cut to V_R removes voxels one by one. In what is left every voxel keeps a neighbour of lower
 //! rank, by a search from V_R and the base, so it stays stable. Where the cutter comes to nothing
-//! that may go, ranks are taken anew.
+//! that may go, ranks are taken anew; where that does not help either, each voxel that the cutter
+//! reaches is asked exactly whether something hangs on it ([`super::hinges`]).
+//!
+//! Guarantees: with nothing kept the target itself can always be made, so a job fails only when its
+//! initial part cannot be cut away, and then ends in a part of it that no cut leaves stable: all
+//! that the cutter reaches holds something up. Such parts exist, and no deposit opens them, since
+//! deposits go on top of everything: a rod that runs along all sides of its own box and ends deeper
+//! in it than L, as the test `a_coil_deeper_than_the_cutter_is_locked` shows by trying every order
+//! of cuts. Not guaranteed: that another order of cuts would not have got further.
 
+use super::hinges::hinges;
 use super::workpiece::{Cell, Workpiece};
 use super::{Kept, NullifyError, Options, PlanError, Sequence, check, nullified, patches};
 use crate::base::Ctx;
@@ -89,11 +98,9 @@ pub(super) fn from_initial(
         }
         layer = floor.checked_sub(1);
     }
-    let nothing = BitGrid::new(target.dims());
-    match through(initial, target, &Kept { floor: 0, solid: &nothing }, options, ctx)? {
-        Some(operations) => Ok((operations, 0)),
-        None => Err(NullifyError::NotFreed.into()),
-    }
+    let mut operations = freed(initial, &BitGrid::new(target.dims()), options, ctx)??;
+    operations.extend(super::operations(target, options, ctx)?);
+    Ok((operations, 0))
 }
 
 /// The cut to what is kept, then the way from there to the target; none when either fails.
@@ -104,8 +111,7 @@ fn through(
     options: &Options,
     ctx: &Ctx,
 ) -> Result<Option<Vec<Operation>>, PlanError> {
-    ctx.check()?;
-    let Some(mut operations) = freed(initial, kept.solid, options) else { return Ok(None) };
+    let Ok(mut operations) = freed(initial, kept.solid, options, ctx)? else { return Ok(None) };
     Ok(match nullified(target, Some(kept), options, ctx)? {
         Ok(built) => {
             operations.extend(built);
@@ -137,39 +143,60 @@ fn largest_below(common: &BitGrid, target: &BitGrid, layer: usize) -> (usize, Bi
     }
 }
 
-/// Cuts that leave `kept` of `initial`; none when the cutter does not reach everything.
-fn freed(initial: &BitGrid, kept: &BitGrid, options: &Options) -> Option<Vec<Operation>> {
+/// Cuts that leave `kept` of `initial`; what is locked when they do not come to everything.
+fn freed(
+    initial: &BitGrid,
+    kept: &BitGrid,
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<Result<Vec<Operation>, NullifyError>, PlanError> {
     let mut w = Workpiece::new(initial, options.length);
     let mut left: Vec<Cell> =
         initial.minus(kept).iter_ones().map(|v| w.cell(v.map(|c| c as i32))).collect();
     let mut operations = Vec::with_capacity(left.len());
     while !left.is_empty() {
+        ctx.check()?;
         // What stands changes what hangs on what, so ranks are taken anew whenever none will do.
         let rank = ranks(&w, kept);
         left.sort_unstable_by_key(|c| (Reverse(rank[*c as usize]), *c));
-        if left.first().is_some_and(|c| rank[*c as usize] == LOOSE) {
-            return None;
+        if let Some(first) = left.first().filter(|c| rank[**c as usize] == LOOSE) {
+            let first = w.voxel(*first).map(|c| c as usize);
+            let loose = left.iter().filter(|c| rank[**c as usize] == LOOSE).count();
+            return Ok(Err(NullifyError::InitialUnstable { loose, first }));
         }
         let since = operations.len();
         loop {
             let before = left.len();
-            left.retain(|&cell| {
-                let way = w.ways(cell).any();
-                let Some(way) = way.filter(|_| spare(&w, &rank, cell)) else { return true };
-                w.remove(cell);
-                let voxel = w.voxel(cell).map(|c| c as u16);
-                operations.push(Operation { voxel, deed: Deed::Cut(way) });
-                false
-            });
+            left.retain(|&cell| !(spare(&w, &rank, cell) && cut(&mut w, cell, &mut operations)));
             if left.len() == before {
                 break;
             }
         }
-        if operations.len() == since {
-            return None;
+        if operations.len() > since {
+            continue;
         }
+        let hinge = hinges(&w, |c| keeps(&w, kept, c));
+        let free = |c: &Cell| !hinge[*c as usize] && w.access(*c);
+        let Some(at) = left.iter().position(free) else {
+            let reached = left.iter().filter(|c| w.access(**c)).count();
+            let left = left.len();
+            return Ok(Err(NullifyError::Locked { left, reached, length: options.length }));
+        };
+        cut(&mut w, left.remove(at), &mut operations);
     }
-    Some(operations)
+    Ok(Ok(operations))
+}
+
+/// Cuts a voxel if the cutter reaches it; whether it did.
+fn cut(w: &mut Workpiece, cell: Cell, operations: &mut Vec<Operation>) -> bool {
+    let Some(way) = w.ways(cell).any() else { return false };
+    w.remove(cell);
+    operations.push(Operation { voxel: w.voxel(cell).map(|c| c as u16), deed: Deed::Cut(way) });
+    true
+}
+
+fn keeps(w: &Workpiece, kept: &BitGrid, cell: Cell) -> bool {
+    kept.get_or_empty(w.voxel(cell).map(i64::from))
 }
 
 /// Whether every neighbour of higher rank keeps another of lower rank than its own.
@@ -191,9 +218,8 @@ fn ranks(w: &Workpiece, kept: &BitGrid) -> Vec<u32> {
     let mut rank = vec![LOOSE; w.len()];
     let mut best = vec![(u32::MAX, u32::MAX); w.len()];
     let mut heap = BinaryHeap::new();
-    let keeps = |c: Cell| kept.get_or_empty(w.voxel(c).map(i64::from));
     for cell in (0..w.dims()[2]).flat_map(|z| w.layer(z)) {
-        if w.height(cell) == 0 || keeps(cell) {
+        if w.height(cell) == 0 || keeps(w, kept, cell) {
             best[cell as usize] = (0, 0);
             heap.push(Reverse(((0, 0), cell)));
         }

@@ -9,7 +9,7 @@
 //! nothing is needy and the rest of the layer goes at once.
 
 use super::bottleneck::Bottleneck;
-use super::detour::{Detour, MOST_VISITS, NEAR_VISITS};
+use super::detour::{Detour, NEAR_VISITS};
 use super::forest::{Demand, Forest, carried};
 use super::ledge;
 use super::workpiece::{Cell, Ways, Workpiece};
@@ -29,12 +29,6 @@ const FEWEST: usize = 3;
 /// down; higher, and ways run deep that could have been short.
 const SHALLOW: u32 = 2;
 const SERVED: u32 = 2;
-
-/// Needy and hanging cells from which on a way sideways is looked for in a window, and half the
-/// window's width in cells. A search costs what it begins from, and a broad underside takes ways by
-/// the hundred; narrower, and ways begin where others would have served more.
-const CROWD: usize = 4_000;
-const WINDOW: i32 = 24;
 
 /// The planner's whole state.
 pub(super) struct Nullifier {
@@ -140,7 +134,6 @@ impl Nullifier {
         // nothing else helps, since what would help them lies deep and rarely changes.
         let mut vain: HashSet<Cell> = HashSet::new();
         let mut patience = Patience::default();
-        let mut barren = Vec::new();
         loop {
             let survey = self.survey(&rest);
             if survey.needy.is_empty() && survey.hanging.is_empty() {
@@ -173,7 +166,8 @@ impl Nullifier {
                     hasty = true;
                     continue;
                 }
-                let way = self.lead(&survey, &clusters, &demands, &mut barren);
+                let sources = self.sources(&survey.needy, &clusters.hanging, &demands);
+                let way = self.detour.connect(&mut self.w, &mut self.b, &sources);
                 if way.is_empty() {
                     return Err(Stuck { layer: top, left: rest.len() });
                 }
@@ -234,42 +228,6 @@ impl Nullifier {
             grown.extend(self.forest.grow(&mut self.w, &mut self.b, demands, FIRST));
         }
         grown
-    }
-
-    /// A way from what is needy to the ground. Where much is needy it is looked for in windows
-    /// first; those in vain go into `barren` and are left out from then on.
-    fn lead(
-        &mut self,
-        survey: &Survey,
-        clusters: &Clusters,
-        demands: &[Demand],
-        barren: &mut Vec<Cell>,
-    ) -> Vec<(Cell, Ways)> {
-        let crowded = survey.needy.len() + clusters.hanging.len() > CROWD;
-        let mut anchors = survey.needy.iter().chain(&survey.hanging).filter(|_| crowded);
-        while let Some(&anchor) = anchors.find(|c| !barren.iter().any(|b| self.near(*b, **c))) {
-            let within = |cells: &[Cell]| -> Vec<Cell> {
-                cells.iter().copied().filter(|c| self.near(anchor, *c)).collect()
-            };
-            let (needy, hanging) = (within(&survey.needy), within(&clusters.hanging));
-            let demands: Vec<Demand> =
-                demands.iter().filter(|d| self.near(anchor, d.cell)).copied().collect();
-            let sources = self.sources(&needy, &hanging, &demands);
-            let (w, b) = (&mut self.w, &mut self.b);
-            let way = self.detour.connect_free(w, b, &sources, MOST_VISITS);
-            if !way.is_empty() {
-                return way;
-            }
-            barren.push(anchor);
-        }
-        let sources = self.sources(&survey.needy, &clusters.hanging, demands);
-        self.detour.connect(&mut self.w, &mut self.b, &sources)
-    }
-
-    /// Whether two cells are in one window.
-    fn near(&self, anchor: Cell, cell: Cell) -> bool {
-        let ([x, y, _], [cx, cy, _]) = (self.w.voxel(anchor), self.w.voxel(cell));
-        (cx - x).abs() <= WINDOW && (cy - y).abs() <= WINDOW
     }
 
     fn survey(&self, rest: &[Cell]) -> Survey {

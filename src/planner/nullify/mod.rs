@@ -13,7 +13,7 @@
 //!
 //! Stages: from the finished model backward, layer by layer from the top (`layer`); supports as
 //! trees (`forest`), ledges (`ledge`) and ways (`detour`); a non-empty beginning
-//! (`initial`); what turned out needless left out (`prune`), deposits and cuts gathered (`order`),
+//! (`initial`, `hinges`); what turned out needless left out (`prune`), deposits and cuts gathered (`order`),
 //! cuts sorted by orientation (`turns`);
 //! operations into steps (`patches`).
 //!
@@ -27,6 +27,7 @@
 mod bottleneck;
 mod detour;
 mod forest;
+mod hinges;
 mod initial;
 mod layer;
 mod ledge;
@@ -73,14 +74,20 @@ pub enum NullifyError {
     BelowBase { voxels: usize },
     #[error(
         "the plan has {steps} steps on a grid of {dims:?} voxels, more than a plan file holds; set \
-         a coarser --resolution or --objective switches"
+         a coarser --resolution"
     )]
     TooManySteps { steps: usize, dims: [usize; 3] },
     #[error(
-        "the cutter cannot reach all that the initial part has too much, whatever of it is kept; \
-         take it off and plan the target alone, or set a longer --tool-length"
+        "the initial part is not stable: {loose} of its voxels are not connected to the base layer, \
+         the first at voxel {first:?}; remove them, or stand the part on them"
     )]
-    NotFreed,
+    InitialUnstable { loose: usize, first: [usize; 3] },
+    #[error(
+        "the initial part is locked: {left} voxels of it cannot be cut away, whatever is kept; with \
+         L = {length} the cutter reaches {reached} of them, and each of these holds others up. Set \
+         a longer --tool-length, or take the part off and plan the target alone"
+    )]
+    Locked { left: usize, reached: usize, length: u32 },
     #[error(
         "layer {layer} could not be undone, {left} of its voxels are left: a defect of the \
          planner, since every stable model can be made; please report the input"

@@ -134,7 +134,68 @@ fn one_random_part_is_made_of_another() {
             reused += usize::from(kept);
         }
     }
+    println!("{made} of 400 made, {reused} of them reuse something");
     assert!(made > 380 && reused > 100, "{made} {reused}");
+}
+
+/// A rod from the base to the four sides of its box, over its top and down into its middle.
+fn coil() -> BitGrid {
+    let corners: [P; 10] = [
+        [4, 4, 0],
+        [4, 4, 2],
+        [0, 4, 2],
+        [0, 4, 4],
+        [0, 0, 4],
+        [8, 0, 4],
+        [8, 8, 4],
+        [4, 8, 4],
+        [4, 8, 8],
+        [4, 4, 8],
+    ];
+    let end = [4, 4, 5];
+    let mut rod = BitGrid::new([9; 3]);
+    for (from, to) in corners.into_iter().zip(corners.into_iter().skip(1).chain([end])) {
+        let length = (0..3).map(|a| (to[a] - from[a]).abs()).max().unwrap_or(0);
+        for i in 0..=length {
+            let at: P = std::array::from_fn(|a| from[a] + i * (to[a] - from[a]).signum());
+            rod.set(at.map(|c| c as usize), true);
+        }
+    }
+    rod
+}
+
+/// By every order of cuts that the rules allow.
+#[test]
+fn a_coil_deeper_than_the_cutter_is_locked() {
+    let coil = coil();
+    assert!(stable(&coil));
+    let target = BitGrid::from_fn([9; 3], |v| v == [4, 4, 0]);
+    let from = |length| {
+        let options = Options { length, ..Options::default() };
+        from_initial(&coil, &target, &options, &Ctx::quiet())
+    };
+    let said = from(2).unwrap_err().to_string();
+    assert!(said.contains("locked") && said.contains("holds others up"), "{said}");
+    let (ops, _) = from(10).unwrap();
+    assert_eq!(replay(coil.clone(), &ops, 10), Ok(target));
+
+    let end = [4, 4, 5];
+    let (mut seen, mut open) = (vec![coil.clone()], vec![coil]);
+    while let Some(state) = open.pop() {
+        for v in state.iter_ones() {
+            for way in Orientation::ALL {
+                let op = Operation { voxel: v.map(|c| c as u16), deed: Deed::Cut(way) };
+                let Ok(next) = replay(state.clone(), &[op], 2) else { continue };
+                assert!(next.get(end));
+                if !seen.contains(&next) {
+                    seen.push(next.clone());
+                    open.push(next);
+                }
+            }
+        }
+    }
+    assert!(seen.len() > 1);
+    println!("{} states, the end of the coil in each", seen.len());
 }
 
 #[test]

@@ -37,6 +37,12 @@ fn rows(run: &[Operation], sequence: &Sequence, dims: [usize; 3]) -> std::ops::R
     first..run.iter().map(row).max().map_or(first, |last| last + 1)
 }
 
+/// Bits that the regions of these runs take in memory and in a plan file.
+fn region_bits(runs: &[&[Operation]], sequence: &Sequence, dims: [usize; 3]) -> u64 {
+    let row_bits = dims[0].div_ceil(64) as u64 * 64;
+    runs.iter().map(|run| rows(run, sequence, dims).len() as u64 * row_bits).sum()
+}
+
 /// The plan of a sequence; without steps when their regions would not fit a plan file.
 pub(super) fn steps(job: &Job, sequence: &Sequence) -> Result<Plan, PlanError> {
     let missing = |kind| PlanError::NoTool { kind };
@@ -44,9 +50,7 @@ pub(super) fn steps(job: &Job, sequence: &Sequence) -> Result<Plan, PlanError> {
     let nozzle = &job.nozzles.first().ok_or(missing("additive"))?.name;
     let runs = runs(&sequence.operations);
     let dims = job.frame.dims;
-    let row_bits = dims[0].div_ceil(64) as u64 * 64;
-    let bits: u64 = runs.iter().map(|run| rows(run, sequence, dims).len() as u64 * row_bits).sum();
-    if bits > MOST_STATE_BITS {
+    if region_bits(&runs, sequence, dims) > MOST_STATE_BITS {
         return Err(NullifyError::TooManySteps { steps: runs.len(), dims }.into());
     }
     let mut blocks = [0usize; 2];
@@ -71,4 +75,38 @@ pub(super) fn steps(job: &Job, sequence: &Sequence) -> Result<Plan, PlanError> {
         *block += 1;
     }
     Ok(Plan { holdings: vec![Holding::AS_CLAMPED], steps })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Options, operations};
+    use super::*;
+    use crate::base::Ctx;
+
+    /// Bits of the regions of a ball on a foot, `n` voxels across.
+    fn bits(n: usize) -> u64 {
+        let ball = BitGrid::from_fn([n; 3], |v| {
+            let [x, y, z] = v.map(|c| 2.0 * (c as f64 + 0.5) / n as f64 - 1.0);
+            x * x + y * y + z * z < 0.9 || (z < 0.0 && x * x + y * y < 0.04)
+        });
+        let operations = operations(&ball, &Options::default(), &Ctx::quiet()).unwrap();
+        let sequence = Sequence {
+            corner: [0; 3],
+            dims: [n; 3],
+            supports: 0,
+            switches: 0,
+            reused: 0,
+            tries: 1,
+            operations,
+        };
+        region_bits(&runs(&sequence.operations), &sequence, [n; 3])
+    }
+
+    /// What the refusal of a plan with too many steps advises.
+    #[test]
+    fn a_coarser_grid_has_smaller_regions() {
+        // Rows of 64 bits at least: both are whole words.
+        let (coarse, fine) = (bits(32), bits(64));
+        assert!(fine > 4 * coarse, "{coarse} {fine}");
+    }
 }
