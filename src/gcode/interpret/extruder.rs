@@ -157,7 +157,7 @@ impl Interpreter<'_> {
                 format!("E{e} for a bead of {length:.3} mm that takes {want:.5} mm of filament"),
             );
         }
-        if self.motion != Some(1) || !self.open || self.drawn {
+        if !matches!(self.motion, Some(1..=3)) || !self.open || self.drawn {
             self.find(Rule::Extruder, "a bead while the module is closed or drawn back");
         }
     }
