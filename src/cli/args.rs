@@ -158,6 +158,10 @@ pub struct PlanArgs {
     /// Write besides out.gcode each step as a program of its own, programs/NN-KIND.gcode
     #[arg(long, value_enum, value_name = "HOW", default_value = "one")]
     pub program: ProgramArg,
+    /// Measure what the program leaves on the target's surface or cuts out of it: deviation.ply;
+    /// takes about as long as making the paths
+    #[arg(long)]
+    pub deviation: bool,
 }
 
 /// How many files a program goes to.

@@ -50,6 +50,8 @@ pub struct PlanConfig {
     pub time_limit_s: Option<f64>,
     pub seed: u64,
     pub post_unverified: bool,
+    /// Whether what the program leaves is measured against the target's surface.
+    pub deviation_map: bool,
     /// Each step is written as a program of its own as well.
     pub program_steps: bool,
     /// What planner nullify is told; None for the others.
@@ -182,6 +184,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         time_limit_s: args.time_limit,
         seed: args.seed,
         post_unverified: args.post_unverified,
+        deviation_map: args.deviation,
         program_steps: args.program == args::ProgramArg::Steps,
         nullify: nullified.then(|| nullify::Options {
             length: args.tool_length,

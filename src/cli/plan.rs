@@ -77,8 +77,10 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
 
     let plan = &verdict.plan;
     let deviation = match &posted.text {
-        Some(text) => clock.time("verify", || pipeline::deviation(&job, plan, text, &ctx))?,
-        None => None,
+        Some(text) if config.deviation_map => {
+            clock.time("verify", || pipeline::deviation(&job, plan, text, &ctx))?
+        }
+        _ => None,
     };
     figures.notes.extend(deviation.as_ref().map(pipeline::deviation_note));
     let mut rules = report::rule_lines(&verdict);
