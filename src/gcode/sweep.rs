@@ -309,9 +309,12 @@ fn lump(scene: &Scene, motions: &[Motion], missed: &[DVec3]) -> Finding {
     Finding { line: nearest.map_or(scene.line, |m| m.line), rule: Rule::Volume, message }
 }
 
+/// An end that rises by no more than this up to half its radius is flat.
+const FLAT_MM: f64 = 1e-6;
+
 /// Cuts that take more than half the cutter's width deeper than the roughing levels allow, and
-/// ways straight down into material with more than half of the end by more than a level: pits as wide
-/// as the cutter take no ramp.
+/// ways of a flat end straight down into material with more than half of it by more than a level:
+/// pits as wide as the cutter take no ramp, and a ball end cuts over its centre.
 fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowest) -> Vec<Finding> {
     let (h, tool) = (scene.frame.pitch, scene.tool);
     let radius = tool.active_radius();
@@ -332,9 +335,10 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
         .map(|(i, j)| (i, j, tool.active_lower_surface((i as f64).hypot(j as f64) * h)))
         .filter(|(_, _, z)| z.is_finite())
         .collect();
+    let flat = tool.active_lower_surface(radius / 2.0) < FLAT_MM;
     let mut told = Told::new(Rule::Engagement);
     for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
-        if m.from.is_some_and(|from| sinks_straight(&over.plane, from, m.to)) {
+        if flat && m.from.is_some_and(|from| sinks_straight(&over.plane, from, m.to)) {
             let (uv, z) = (cells.plane.across(m.to), cells.plane.height(m.to));
             let deep = |(i, j, lower): &&(i64, i64, f64)| {
                 let c = cells.cell_of(uv + DVec2::new(*i as f64, *j as f64) * h);
