@@ -8,7 +8,7 @@ use super::round::volumes;
 use super::setting::Setting;
 use super::{Options, plane_normals};
 use crate::base::{Ctx, DVec3, Direction};
-use crate::machine::{Machine, ToolKind};
+use crate::machine::{Machine, Tool, ToolKind};
 use crate::mesh::TriMesh;
 use crate::plan::{Job, Plane, Rules};
 use crate::voxel::{BitGrid, Frame};
@@ -26,21 +26,31 @@ fn job() -> Job {
         initial.get([x, y, z])
             || (4..12).contains(&x) && (2..22).contains(&y) && (20..26).contains(&z)
     });
+    job_of(frame, initial, target, |_| true)
+}
+
+/// Two solids, the preset machine and those of its tools that are wanted.
+pub(super) fn job_of(
+    frame: Frame,
+    initial: BitGrid,
+    target: BitGrid,
+    wanted: impl Fn(&Tool) -> bool,
+) -> Job {
     let machine = Machine::builtin("generic-5axis").unwrap();
-    let tools = |kind| machine.tools_of(kind).into_iter().cloned().collect();
+    let tools = |kind| -> Vec<Tool> {
+        machine.tools_of(kind).into_iter().filter(|t| wanted(t)).cloned().collect()
+    };
     let (cutters, nozzles) = (tools(ToolKind::Subtractive), tools(ToolKind::Additive));
-    let mesh = TriMesh::new(Vec::new(), Vec::new()).unwrap();
-    let rules = Rules::for_pitch(frame.pitch, 0.2);
     Job {
         frame,
         initial,
         target,
-        initial_mesh: mesh.clone(),
-        target_mesh: mesh,
+        initial_mesh: TriMesh::default(),
+        target_mesh: TriMesh::default(),
         machine,
         cutters,
         nozzles,
-        rules,
+        rules: Rules::for_pitch(frame.pitch, 0.2),
     }
 }
 

@@ -1,14 +1,14 @@
 //! Supports and the bare base on worlds small enough to know the answer.
 
 use super::laying::{Layer, Way, base_layer, joined};
+use super::local_tests::job_of;
 use super::setting::Setting;
 use super::supports::lay_on_supports;
 use super::{Options, plan};
 use crate::access::CarrierTable;
 use crate::base::{Ctx, DVec3, Direction};
-use crate::machine::{HoldingMode, Machine, Tool, ToolKind};
-use crate::mesh::TriMesh;
-use crate::plan::{Job, Rules, StepKind};
+use crate::machine::{HoldingMode, Tool};
+use crate::plan::{Job, StepKind};
 use crate::verify::verify;
 use crate::voxel::{BitGrid, Frame};
 
@@ -24,25 +24,7 @@ fn job() -> Job {
         let roof = (6..38).contains(&x) && (4..20).contains(&y) && (16..20).contains(&z);
         plate([x, y, z]) || post && z < 20 || roof
     });
-    let machine = Machine::builtin("generic-5axis").unwrap();
-    let tools = |kind| -> Vec<Tool> {
-        let of = machine.tools_of(kind).into_iter().filter(|t| !t.fine_grids_only);
-        of.cloned().collect()
-    };
-    let (cutters, nozzles) = (tools(ToolKind::Subtractive), tools(ToolKind::Additive));
-    let mesh = TriMesh::new(Vec::new(), Vec::new()).unwrap();
-    let rules = Rules::for_pitch(frame.pitch, 0.2);
-    Job {
-        frame,
-        initial,
-        target,
-        initial_mesh: mesh.clone(),
-        target_mesh: mesh,
-        machine,
-        cutters,
-        nozzles,
-        rules,
-    }
+    job_of(frame, initial, target, |t| !t.fine_grids_only)
 }
 
 /// A way straight from above.

@@ -5,5 +5,4 @@ mod fidelity;
 mod reach;
 mod reference;
 mod rules;
-mod timing;
 mod world;
