@@ -25,22 +25,22 @@ pub fn choose(dims: [usize; 3], element: &Element, window: &Window) -> Choice {
     let link = window.minus(&Window::of(dims));
     let [wx, wy, wz] = window.dims().map(|n| n as f64);
     let words = (wx.max(dims[0] as f64) / 64.0).ceil();
-    let steps: f64 = element
+    // What lies beyond the window meets nothing, and no engine looks at it.
+    let finite = element.layers().iter().filter(|l| l.plane != Plane::Whole).cloned().collect();
+    let solid = Element::from_layers(finite).clipped(&link);
+    let steps: f64 = solid
         .layers()
         .iter()
-        .map(|l| {
-            let length = (l.end.min(link.hi[2]) - l.z.max(link.lo[2])).max(0) as f64;
-            match &l.plane {
-                Plane::Whole => 0.0,
-                Plane::Chords(c) => c.iter().map(gather).sum::<f64>() + (length + 1.0).log2() + 1.0,
+        .map(|l| match &l.plane {
+            Plane::Whole => 0.0,
+            Plane::Chords(c) => {
+                let length = (l.end - l.z).max(0) as f64;
+                c.iter().map(gather).sum::<f64>() + (length + 1.0).log2() + 1.0
             }
         })
         .sum();
     let bits_ms = BITS_NS_PER_STEP * words * wy * wz.max(dims[2] as f64) * steps * 1e-6;
-    let solid = Element::from_layers(
-        element.layers().iter().filter(|l| l.plane != Plane::Whole).cloned().collect(),
-    );
-    let fft_ms = match solid.clipped(&link).bounds() {
+    let fft_ms = match solid.bounds() {
         None => 0.0,
         Some(b) => {
             let size = |a: usize| good_size(dims[a] + (b.hi[a] - b.lo[a]) as usize - 1) as f64;
