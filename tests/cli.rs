@@ -143,6 +143,23 @@ fn one_part_is_nullified_unless_told_otherwise() {
     refused(command.arg(out.path().join("e")), "give INITIAL and TARGET");
 }
 
+/// A part on its tip, whose lowest layer of voxels is empty, floated a voxel above the base.
+#[test]
+fn a_target_on_a_tip_finer_than_the_grid_is_made_exactly() {
+    let out = tempfile::tempdir().unwrap();
+    let (tip, dir) = (out.path().join("tip.obj"), out.path().join("d"));
+    let corners = "v 10 0 0\nv -10 0 0\nv 0 10 0\nv 0 -10 0\nv 0 0 10\nv 0 0 -10\n";
+    let faces = "f 1 3 5\nf 3 2 5\nf 2 4 5\nf 4 1 5\nf 3 1 6\nf 2 3 6\nf 4 2 6\nf 1 4 6\n";
+    fs::write(&tip, format!("{corners}{faces}")).unwrap();
+    let mut command = hmplan();
+    command.args(["plan", "fixtures/block_bracket_initial.obj"]).arg(&tip);
+    command.args(["--planner", "nullify", "--resolution", "1", "--json", "-q", "-o"]);
+    let done = command.arg(&dir).assert().code(0).get_output().stdout.clone();
+    let summary: serde_json::Value = serde_json::from_slice(&done).unwrap();
+    assert_eq!(summary["residual_mm3"], 0.0);
+    hmplan().arg("verify").arg(&dir).assert().code(0);
+}
+
 #[test]
 fn the_search_says_what_its_plan_costs_and_verifies() {
     let out = tempfile::tempdir().unwrap();

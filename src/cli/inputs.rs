@@ -186,6 +186,40 @@ fn stamped(voxels: &BitGrid, pitch: f64, motion: &DAffine3, frame: &Frame) -> Bi
     grid
 }
 
+/// Both parts on one grid.
+pub struct Grids {
+    pub frame: Frame,
+    /// Empty without an initial part.
+    pub initial: BitGrid,
+    pub target: BitGrid,
+    pub target_mesh: TriMesh,
+}
+
+impl Grids {
+    /// The parts where they were placed.
+    pub fn of(
+        initial: Option<&(Part, TriMesh)>,
+        target: &Part,
+        pitch: Option<f64>,
+        tools: &[Tool],
+        ctx: &Ctx,
+    ) -> Result<Grids, Failure> {
+        let target_mesh = target.placed()?;
+        let frame = frame(initial.map(|i| &i.1), &target_mesh, pitch, tools)?;
+        let initial = initial.map(|(part, mesh)| solid(part, mesh, &frame, ctx)).transpose()?;
+        let target = solid(target, &target_mesh, &frame, ctx)?;
+        let initial = initial.unwrap_or_else(|| BitGrid::new(frame.dims));
+        Ok(Grids { frame, initial, target, target_mesh })
+    }
+}
+
+/// How far the lowest voxel of a solid is above the base plane, mm; 0 when it stands on it.
+pub fn gap_mm(solid: &BitGrid, frame: &Frame) -> f64 {
+    let bottom = |v: [usize; 3]| frame.center(v).z - frame.pitch / 2.0;
+    let gap = solid.extent().map_or(0.0, |(low, _)| bottom(low));
+    (gap / frame.pitch).round().max(0.0) * frame.pitch
+}
+
 /// How far the target reaches below the base plane, in words; nothing when it does not.
 pub fn below_base(job: &Job) -> Option<String> {
     let lowest = job.target.iter_ones().map(|v| job.frame.center(v).z).fold(f64::MAX, f64::min);

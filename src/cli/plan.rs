@@ -3,11 +3,11 @@
 use super::args::{OutputArgs, Setup};
 use super::config::PlanConfig;
 use super::exit::{Exit, Failure};
-use super::inputs::{self, Part};
+use super::inputs::{self, Grids, Part};
 use super::output::{self, Destination};
 use super::pipeline;
 use super::{progress, summary};
-use hmplan::base::{Ctx, DAffine3};
+use hmplan::base::{Ctx, DAffine3, DVec3};
 use hmplan::machine::Tool;
 use hmplan::mesh::{TriMesh, write_stl};
 use hmplan::plan::{
@@ -287,19 +287,22 @@ fn prepare(
     ctx: &Ctx,
     clock: &mut Clock,
 ) -> Result<Prepared, Failure> {
-    parts.target.place(&place.motion);
-    let target = &parts.target;
-    let target_mesh = target.placed()?;
-    let initial = parts.initial.as_ref();
     let tools: Vec<Tool> = config.cutters.iter().chain(&config.nozzles).cloned().collect();
-    let frame = inputs::frame(initial.map(|i| &i.1), &target_mesh, config.resolution_mm, &tools)?;
-    let (initial_solid, target_solid) = clock.time("voxelise", || -> Result<_, Failure> {
-        let initial = initial.map(|(part, mesh)| inputs::solid(part, mesh, &frame, ctx));
-        Ok((
-            initial.transpose()?.unwrap_or_else(|| BitGrid::new(frame.dims)),
-            inputs::solid(target, &target_mesh, &frame, ctx)?,
-        ))
-    })?;
+    let mut sampled = |motion: &DAffine3| {
+        parts.target.place(motion);
+        let (initial, pitch) = (parts.initial.as_ref(), config.resolution_mm);
+        clock.time("voxelise", || Grids::of(initial, &parts.target, pitch, &tools, ctx))
+    };
+    let mut grids = sampled(&place.motion)?;
+    // What is made voxel by voxel stands on the base with voxels. A place found by search may put
+    // a tip on it that is finer than these; whole voxels lower, the solid is the same.
+    let gap_mm = inputs::gap_mm(&grids.target, &grids.frame);
+    if config.nullify.is_some() && config.setup == Setup::Search && gap_mm > 0.0 {
+        let lower = DAffine3::from_translation(DVec3::Z * -gap_mm) * place.motion;
+        grids = sampled(&lower)?;
+    }
+    let Grids { frame, initial: initial_solid, target: target_solid, target_mesh } = grids;
+    let (initial, target) = (parts.initial.as_ref(), &parts.target);
     let (mut cutters, mut nozzles) = (config.cutters.clone(), config.nozzles.clone());
     if let Some(options) = &config.nullify {
         cutters = vec![Tool::inv_cutter(frame.pitch, options.length)];
