@@ -13,7 +13,7 @@
 //! that only the voxels leave room for. Not guaranteed: a constant engagement.
 
 use super::contour::{chains, nearest_order};
-use super::exact::{Exact, steepness};
+use super::exact::{Exact, Lowest, steepness};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
@@ -143,9 +143,9 @@ struct Stage<'a> {
     /// Lowest tip height worth going to.
     floor: Image,
     /// H for finishing: half a voxel off the voxel centres.
-    fine: Image,
+    fine: Lowest,
     /// H without margin.
-    exact: Image,
+    exact: Lowest,
     /// Heights over the meshes, where the job has them.
     meshes: Option<Exact>,
     edge: Profile,
@@ -155,6 +155,10 @@ struct Stage<'a> {
     done: Vec<f32>,
     safe: f64,
     at: Option<(Cell, f64)>,
+    /// Whether passes go up to the walls beside their cells.
+    to_walls: bool,
+    /// How far from its cell the tip stands.
+    aside: DVec2,
     moves: Vec<Move>,
 }
 
@@ -189,11 +193,11 @@ impl<'a> Stage<'a> {
         let half = h / 2.0 + rounding(work, lattice.s);
         let heights = |side: f64, down: f64| match &meshes {
             Some(m) => m.heights(work, &free, side, down, 0.0),
-            None => free.heights(work.tool, side, down),
+            None => Lowest::of_voxels(free.heights(work.tool, side, down)),
         };
         let (fine, exact) = (heights(half, h / 2.0), heights(0.0, 0.0));
         let highest = |i: &Image| i.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let safe = free.state_top.max(f64::from(highest(&fine))) + CLEARANCE_MM;
+        let safe = free.state_top.max(f64::from(highest(&fine.tips))) + CLEARANCE_MM;
         let stock = Stock::new(&tops, &edge, h / 2.0);
         Stage {
             stock,
@@ -210,6 +214,8 @@ impl<'a> Stage<'a> {
             free,
             safe,
             at: None,
+            to_walls: false,
+            aside: DVec2::ZERO,
             moves: Vec::new(),
         }
     }
@@ -223,7 +229,8 @@ impl<'a> Stage<'a> {
             None => coarse,
             // The voxels' margin is the stock's to the side; over the meshes it is exact below.
             Some(m) => {
-                let mut z = m.heights(self.work, &self.free, half + stock, h / 2.0 + stock, stock);
+                let side = half + stock;
+                let mut z = m.heights(self.work, &self.free, side, h / 2.0 + stock, stock).tips;
                 z.data.iter_mut().zip(&coarse.data).for_each(|(z, c)| *z = z.max(*c));
                 z
             }
@@ -274,7 +281,8 @@ impl<'a> Stage<'a> {
     }
 
     fn finish(&mut self) {
-        let bottom = self.bottoms(&self.fine);
+        self.to_walls = true;
+        let bottom = self.bottoms(&self.fine.tips);
         let near = self.near();
         let same = SAME_HEIGHT_MM as f32;
         let due: Vec<bool> = (0..bottom.len())
@@ -310,6 +318,7 @@ impl<'a> Stage<'a> {
         for i in (0..bottom.len()).filter(|i| flat[*i]) {
             self.done[i] = self.done[i].min(bottom[i]);
         }
+        self.to_walls = false;
     }
 
     /// Lowest height cut within a stock's width and two cells of each cell.
@@ -327,7 +336,7 @@ impl<'a> Stage<'a> {
     /// fraction of the region that is covered in the end.
     fn rest(&mut self) -> f64 {
         let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
-        let exact = std::mem::take(&mut self.exact.data);
+        let exact = std::mem::take(&mut self.exact.tips.data);
         let share = self.rest_over(&exact, half, 0.0);
         if self.meshes.is_none() || share == 1.0 {
             return share;
@@ -483,7 +492,7 @@ impl<'a> Stage<'a> {
         let Some((_, high)) = self.at else { return };
         let end = f64::from(z(self.lattice.index(pass[0])));
         if high - end <= LEAST_MM {
-            return self.push(MoveKind::Cut, pass[0], end, feed);
+            return self.land(pass[0], end, feed);
         }
         let down = ramp(&self.lattice, pass, z, &|i| self.stock.over(i), high);
         self.push(MoveKind::Cut, pass[0], down.from, self.process.plunge_feed);
@@ -491,6 +500,7 @@ impl<'a> Stage<'a> {
             self.push(MoveKind::Cut, c, h, feed);
         }
         self.push(MoveKind::Cut, pass[0], end, self.process.plunge_feed);
+        self.land(pass[0], end, feed);
     }
 
     /// Cuts to the neighbouring cell at which the rest of a pass begins. On steep ground the tip first
@@ -505,19 +515,36 @@ impl<'a> Stage<'a> {
             self.push(MoveKind::Cut, rest[0], over, feed);
             self.sink(rest, z, feed);
         } else {
-            self.push(MoveKind::Cut, rest[0], to, feed);
+            self.land(rest[0], to, feed);
         }
     }
 
+    /// Cuts to a cell at the height of its pass, or to the wall beside it.
+    fn land(&mut self, cell: Cell, z: f64, feed: f64) {
+        let aside = match &self.meshes {
+            Some(m) if self.to_walls => m.aside(cell, z, &self.fine),
+            _ => DVec2::ZERO,
+        };
+        self.go(MoveKind::Cut, cell, aside, z, feed);
+    }
+
+    /// To a cell's middle; straight up from where the tip stands aside of it.
     fn push(&mut self, kind: MoveKind, cell: Cell, z: f64, feed: f64) {
-        if self.at == Some((cell, z)) {
+        let up = self.at.is_some_and(|(c, from)| c == cell && z >= from);
+        let aside = if up { self.aside } else { DVec2::ZERO };
+        self.go(kind, cell, aside, z, feed);
+    }
+
+    fn go(&mut self, kind: MoveKind, cell: Cell, aside: DVec2, z: f64, feed: f64) {
+        if self.at == Some((cell, z)) && self.aside == aside {
             return;
         }
         if kind == MoveKind::Cut {
             self.stock.cut(cell, z);
         }
-        self.moves.push(Move { kind, tip: self.lattice.world(cell, z), feed });
-        self.at = Some((cell, z));
+        let tip = self.lattice.plane.world(self.lattice.uv(cell) + aside, z);
+        self.moves.push(Move { kind, tip, feed });
+        (self.at, self.aside) = (Some((cell, z)), aside);
     }
 }
 
