@@ -137,27 +137,28 @@ impl Exact {
     }
 
     /// Moves a tip at height `z` from the cell `c` aside, by less than a cell, until it meets the
-    /// steep surface next to it: walls lie between the columns of the lattice. The offset, mm.
-    pub fn aside(&self, c: Cell, z: f64, of: &Lowest) -> DVec2 {
+    /// wall next to it: walls lie between the columns of the lattice. Over a foot that is not level
+    /// the tip rises on the way. The offset and the height, mm.
+    pub fn aside(&self, c: Cell, z: f64, of: &Lowest) -> (DVec2, f64) {
         let lattice = of.tips.lattice;
-        let steep = z + lattice.s;
         let mut to = DVec2::ZERO;
         for (i, j) in (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j))) {
             let at = (c[0].checked_add_signed(i), c[1].checked_add_signed(j));
-            let (Some(a), Some(b)) = at else { return DVec2::ZERO };
+            let (Some(a), Some(b)) = at else { return (DVec2::ZERO, z) };
             if a >= lattice.n[0] || b >= lattice.n[1] {
-                return DVec2::ZERO;
+                return (DVec2::ZERO, z);
             }
-            if of.tips.at([a, b]) > steep {
-                to += DVec2::new(i as f64, j as f64).normalize_or_zero();
+            let by = DVec2::new(i as f64, j as f64);
+            if of.tips.at([a, b]) > z + TOUCH_MM + RISE * by.length() * lattice.s {
+                to += by.normalize_or_zero();
             }
         }
         // Between two walls a cell apart there is no side to go to.
         if to.length() < LEAST_PULL {
-            return DVec2::ZERO;
+            return (DVec2::ZERO, z);
         }
         let from = lattice.uv(c);
-        let clear = |by: DVec2| self.lowest(from + by, of) <= z + TOUCH_MM;
+        let clear = |by: DVec2| self.lowest(from + by, of) <= z + TOUCH_MM + RISE * by.length();
         let way = to / to.abs().max_element() * lattice.s;
         let mut by = farthest(DVec2::ZERO, way, &clear);
         if to.abs().min_element() > 0.0 {
@@ -166,7 +167,10 @@ impl Exact {
                 by = farthest(by, axis * (way - by), &clear);
             }
         }
-        by
+        if by == DVec2::ZERO {
+            return (by, z);
+        }
+        (by, z.max(self.lowest(from + by, of)))
     }
 }
 
@@ -176,7 +180,11 @@ const ON_CELL: f64 = 1e-6;
 /// Sum of the unit vectors to the steep cells around below which they lie on either side.
 const LEAST_PULL: f64 = 0.5;
 
-/// How deep a tip that was moved aside may stand in a surface, mm: the rounding of heights.
+/// What rises more steeply is a wall, 56°: what rises less the lattice finishes by itself, with
+/// ridges of its own cells.
+const RISE: f64 = 1.5;
+
+/// How much higher than its surface a tip may find it aside, mm: the rounding of heights.
 const TOUCH_MM: f64 = 1e-3;
 
 /// Halvings of the way aside: less than a micrometre is left of a cell of 0.5 mm.

@@ -14,6 +14,7 @@
 
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, Lowest, steepness};
+use super::faces::{faces, rows};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
@@ -32,6 +33,10 @@ const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Share of the region that must be swept: a little more than the program's check asks for.
 const LEAST_SHARE: f64 = 0.985;
+
+/// How deep a cutter may go into a surface to get at what stands in a crevice, mm: less than what
+/// counts as a gouge, rounding of three decimals included.
+const NICK_MM: f64 = 0.045;
 
 /// What a step works on.
 pub(super) struct Work<'a> {
@@ -311,14 +316,38 @@ impl<'a> Stage<'a> {
         self.process.step_down = ridge.min(rough);
         self.levels(&steep, &ceiling, &near);
         self.process.step_down = rough;
-        let flat: Vec<bool> = (0..due.len()).map(|i| due[i] && steep[i].is_infinite()).collect();
+        let mut flat: Vec<bool> =
+            (0..due.len()).map(|i| due[i] && steep[i].is_infinite()).collect();
         let stepover = ridge / self.lattice.s;
         let z = |i: usize| bottom[i];
+        let radius = self.work.tool.active_radius() / self.lattice.s;
+        let least = (std::f64::consts::PI * radius * radius).ceil() as usize;
+        for face in faces(&self.lattice, &bottom, &flat, least) {
+            self.face(&face, &bottom);
+            for i in face {
+                flat[i] = false;
+                self.done[i] = self.done[i].min(bottom[i]);
+            }
+        }
         self.passes(&flat, stepover, &z, self.process.feed);
         for i in (0..bottom.len()).filter(|i| flat[*i]) {
             self.done[i] = self.done[i].min(bottom[i]);
         }
         self.to_walls = false;
+    }
+
+    /// Rows over a flat face and once around its rim.
+    fn face(&mut self, face: &[usize], bottom: &[f32]) {
+        let apart = self.process.finishing_stepover(self.work.tool) / self.lattice.s;
+        let step = apart.floor().max(1.0) as usize;
+        let z = |i: usize| bottom[i];
+        let feed = self.process.feed;
+        self.follow(rows(&self.lattice, face, step), apart, &z, feed);
+        let mut rim = vec![false; bottom.len()];
+        face.iter().for_each(|i| rim[*i] = true);
+        // The first ring of a set is its rim; a second one would be this many cells inside it.
+        const NO_OTHER: f64 = 1e9;
+        self.follow(chains(&self.lattice, &rim, NO_OTHER), apart, &z, feed);
     }
 
     /// Lowest height cut within a stock's width and two cells of each cell.
@@ -342,12 +371,19 @@ impl<'a> Stage<'a> {
             return share;
         }
         // What the meshes leave no room for, the voxels may, which is what the plan was made on:
-        // lumps deeper than the tolerance go, at the price of a pitch's gouge in the crevice. Deep
+        // lumps deeper than the tolerance go as far as a nick lets the tool in; a block of which
+        // so much is left that the plan's volume is not cut goes at the price of a pitch's gouge. Deep
         // is meant to all sides: along a wall a cell's width that is left is none.
         let (_, share) = self.uncovered(half, half);
-        let plain = self.free.heights(self.work.tool, 0.0, 0.0);
+        let mut plain = self.free.heights(self.work.tool, 0.0, 0.0);
         let deep = self.work.job.rules.tolerance_mm / 2.0;
-        let slack = if share < LEAST_SHARE { half } else { deep.max(half) };
+        let slack = if share < LEAST_SHARE {
+            half
+        } else {
+            let nicked = |(z, e): (&mut f32, &f32)| *z = z.max(e - NICK_MM as f32);
+            plain.data.iter_mut().zip(&exact).for_each(nicked);
+            deep.max(half)
+        };
         self.rest_over(&plain.data, slack, slack);
         self.uncovered(half, half).1
     }
@@ -423,8 +459,18 @@ impl<'a> Stage<'a> {
         if !set.contains(&true) {
             return;
         }
+        self.follow(chains(&self.lattice, set, stepover), stepover, z, feed);
+    }
+
+    fn follow(
+        &mut self,
+        lines: Vec<Vec<Cell>>,
+        stepover: f64,
+        z: &dyn Fn(usize) -> f32,
+        feed: f64,
+    ) {
         let at = self.at.map(|(c, _)| c);
-        for chain in nearest_order(chains(&self.lattice, set, stepover), at) {
+        for chain in nearest_order(lines, at) {
             if !self.link(chain[0], stepover, z) {
                 let way = ramp(&self.lattice, &chain, z, &|i| self.stock.over(i), self.safe);
                 self.enter(chain[0], way.from, f64::from(z(self.lattice.index(chain[0]))));
@@ -521,9 +567,9 @@ impl<'a> Stage<'a> {
 
     /// Cuts to a cell at the height of its pass, or to the wall beside it.
     fn land(&mut self, cell: Cell, z: f64, feed: f64) {
-        let aside = match &self.meshes {
+        let (aside, z) = match &self.meshes {
             Some(m) if self.to_walls => m.aside(cell, z, &self.fine),
-            _ => DVec2::ZERO,
+            _ => (DVec2::ZERO, z),
         };
         self.go(MoveKind::Cut, cell, aside, z, feed);
     }
