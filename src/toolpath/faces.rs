@@ -78,8 +78,12 @@ pub(super) fn rows(lattice: &Lattice, face: &[usize], step: usize) -> Vec<Vec<Ce
         }
         before = Some((row, at));
     }
+    let (mut row, mut back) = (first, false);
     for run in &mut out {
-        if ((run[0][1 - along] - first) / step.max(1)) % 2 == 1 {
+        if run[0][1 - along] != row {
+            (row, back) = (run[0][1 - along], !back);
+        }
+        if back {
             run.reverse();
         }
     }
