@@ -51,13 +51,14 @@ impl Reach {
             nearer
         };
         look(uv + self.end.contact_to_axis(self.plane.across(normal)), &mut best);
-        let n = STEPS as i32;
+        // One step beyond the radius: an end beside a wall stands just clear of it.
+        let n = STEPS as i32 + 1;
         for (i, j) in (-n..=n).flat_map(|i| (-n..=n).map(move |j| (i, j))) {
             if best.0 < LEAST_STEP_MM {
                 return best.0;
             }
             let q = DVec2::new(f64::from(i), f64::from(j)) * (radius / STEPS);
-            if q.length() <= radius {
+            if q.length() <= radius * (1.0 + 1.0 / STEPS) {
                 look(uv + q, &mut best);
             }
         }
