@@ -1,6 +1,7 @@
 //! The raw flags, as typed. Nothing is decided here; [`super::config`] does that.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use hmplan::machine::Place;
 use std::path::PathBuf;
 
 /// Plans hybrid additive-subtractive manufacturing: from a worn part to a target part, every cut
@@ -152,6 +153,10 @@ pub struct PlanArgs {
     /// Write planner nullify's schedule too: AM and SM time of each voxel of its box
     #[arg(long, value_name = "FILE")]
     pub schedule: Option<PathBuf>,
+    /// Where the part stands on the table: its base's offset from the table's centre in mm and how it
+    /// is turned about z, or auto for where the axes reach most [default: as the machine says]
+    #[arg(long, value_name = "auto|X,Y[,DEG]", value_parser = place, allow_hyphen_values = true)]
+    pub place: Option<PlaceArg>,
     /// Write out.gcode even when the plan does not verify
     #[arg(long)]
     pub post_unverified: bool,
@@ -162,6 +167,27 @@ pub struct PlanArgs {
     /// takes about as long as making the paths
     #[arg(long)]
     pub deviation: bool,
+}
+
+/// Where the part stands on the table.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PlaceArg {
+    Auto,
+    At(Place),
+}
+
+fn place(text: &str) -> Result<PlaceArg, String> {
+    if text == "auto" {
+        return Ok(PlaceArg::Auto);
+    }
+    let figures: Result<Vec<f64>, _> = text.split(',').map(|f| f.trim().parse()).collect();
+    match figures.as_deref() {
+        Ok([x_mm, y_mm]) => Ok(PlaceArg::At(Place { x_mm: *x_mm, y_mm: *y_mm, angle_deg: 0.0 })),
+        Ok([x_mm, y_mm, angle_deg]) => {
+            Ok(PlaceArg::At(Place { x_mm: *x_mm, y_mm: *y_mm, angle_deg: *angle_deg }))
+        }
+        _ => Err("give auto, X,Y or X,Y,DEG".into()),
+    }
 }
 
 /// How many files a program goes to.

@@ -52,6 +52,8 @@ pub struct PlanConfig {
     pub post_unverified: bool,
     /// Whether what the program leaves is measured against the target's surface.
     pub deviation_map: bool,
+    /// The part's place on the table is looked for when the part is known.
+    pub find_place: bool,
     /// Each step is written as a program of its own as well.
     pub program_steps: bool,
     /// What planner nullify is told; None for the others.
@@ -118,7 +120,12 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         (Some(planner), _) => return Err(no_such_planner(planner)),
     };
     reman_alone(args, nullified)?;
-    let machine = profiles::find_machine(&args.machine.machine)?;
+    let mut machine = profiles::find_machine(&args.machine.machine)?;
+    if let Some(args::PlaceArg::At(place)) = args.place {
+        machine.workholding.place = place;
+        let wrong = |e| Failure::input(format!("--place: {e}; give one on the table"));
+        machine.workholding.place_on_table().map_err(wrong)?;
+    }
     let [cutters, nozzles] = if nullified {
         voxel_tools_only(args)?;
         // As wide as a voxel: made when the pitch is known.
@@ -185,6 +192,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         seed: args.seed,
         post_unverified: args.post_unverified,
         deviation_map: args.deviation,
+        find_place: args.place == Some(args::PlaceArg::Auto),
         program_steps: args.program == args::ProgramArg::Steps,
         nullify: nullified.then(|| nullify::Options {
             length: args.tool_length,

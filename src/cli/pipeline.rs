@@ -228,13 +228,14 @@ pub fn deviation(
 pub fn deviation_note(d: &Deviation) -> String {
     format!(
         "Deviation of the program from the target (deviation.ply): {:.1} % of the machined surface cut \
-         deeper than {:.2} mm (most {:.2} mm), {:.1} % left higher than roughing leaves (most {:.2} mm); \
-         beads at most {:.2} mm outside.",
+         deeper than {:.2} mm (most {:.2} mm), {:.1} % left higher than roughing leaves (most {:.2} mm), \
+         {:.1} % more where no such cutter comes nearer; beads at most {:.2} mm outside.",
         100.0 * d.gouged,
         gcode::GOUGE_MM,
         d.gouge_mm,
         100.0 * d.left,
         d.excess_mm,
+        100.0 * d.unreached,
         d.outside_mm,
     )
 }

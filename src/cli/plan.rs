@@ -8,7 +8,7 @@ use super::output::{self, Destination};
 use super::pipeline;
 use super::{progress, summary};
 use hmplan::base::{Ctx, DAffine3, DVec3};
-use hmplan::machine::Tool;
+use hmplan::machine::{Holding, Tool};
 use hmplan::mesh::{TriMesh, write_stl};
 use hmplan::plan::{
     Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Seconds, StepKind, Summary,
@@ -95,7 +95,7 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
         command: config.command(),
         inputs,
         grid: job.frame,
-        machine: config.machine.clone(),
+        machine: job.machine.clone(),
         tools: job.cutters.iter().chain(&job.nozzles).cloned().collect(),
         rules: job.rules,
         holdings: plan.holdings.clone(),
@@ -317,13 +317,20 @@ fn prepare(
     rules.tolerance_mm = config.rules.tolerance_mm.unwrap_or(rules.tolerance_mm);
     rules.grip_mm = config.rules.grip_mm.unwrap_or(rules.grip_mm);
     rules.deviation = config.search.as_ref().map_or(rules.deviation, |s| s.delta);
+    let mut machine = config.machine.clone();
+    if config.find_place {
+        let contact = Holding::AS_CLAMPED.contact(&target_solid, &frame, rules.grip_mm);
+        let sum: DVec3 = contact.iter_ones().map(|v| frame.center(v)).sum();
+        let foot = sum / contact.count().max(1) as f64;
+        machine.workholding.place = machine.find_place(frame.bounds(), foot);
+    }
     let job = Job {
         frame,
         initial: initial_solid,
         target: target_solid,
         initial_mesh: initial.map(|i| i.1.clone()).unwrap_or_default(),
         target_mesh,
-        machine: config.machine.clone(),
+        machine,
         cutters,
         nozzles,
         rules,

@@ -66,14 +66,9 @@ pub(super) fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Find
     let filled = region.iter_ones().filter(near).count();
     figures.coverage = filled as f64 / region.count().max(1) as f64;
     let mut findings = astray.findings;
-    if figures.coverage < LEAST_FILLED {
-        let message = format!(
-            "beads reach {:.1} % of the {volume:.0} mm³ to add, less than {:.0} %",
-            100.0 * figures.coverage,
-            100.0 * LEAST_FILLED
-        );
-        findings.push(Finding { line: scene.line, rule: Rule::Volume, message });
-    }
+    let what = format!("the {volume:.0} mm³ to add");
+    let share = figures.coverage;
+    findings.extend(Finding::too_little(scene.line, "beads reach", share, &what, LEAST_FILLED));
     findings.extend(overlap(scene, motions));
     (figures, findings)
 }

@@ -7,7 +7,8 @@
 //!
 //! ```text
 //! gouge(p)  = max over moves after p was last laid of −d(p, tool)   where positive
-//! excess(p) = min over moves of d(p, tool)                          where p was cut free
+//! excess(p) = min over moves of d(p, tool) − reach(p)               where p was cut free
+//! reach(p)  = the least d(p, tool) of an end that does not enter the target
 //! outside   = max over beads of the distance from the target + half a bead
 //! ```
 //!
@@ -15,8 +16,10 @@
 //! the middles; moves of tools whose edge is no ball, flat or bull-nose end, which are left out;
 //! what beads leave open.
 
+use super::cells::Cells;
 use super::check::motions;
 use super::interpret::{Gait, Motion};
+use super::reach::Reach;
 use super::sweep::samples;
 use crate::base::{Ctx, DVec2, DVec3, ImagePlane};
 use crate::machine::Tool;
@@ -57,6 +60,9 @@ pub struct Facet {
     /// Material left on the surface (positive) or cut out of it (negative), mm; 0 where no cutter
     /// came.
     pub off_mm: f64,
+    /// How near the end of a cutter that cuts in front of it can come, mm; looked for only where
+    /// more is left than roughing leaves.
+    pub reach_mm: f64,
     /// Whether a step cuts the space in front of it.
     pub machined: bool,
 }
@@ -67,12 +73,14 @@ pub struct Deviation {
     pub facets: Vec<Facet>,
     /// Deepest cut into the target, mm.
     pub gouge_mm: f64,
-    /// Most material left on a machined surface, mm.
+    /// Most material left on a machined surface beyond what no end of the cutter's form reaches, mm.
     pub excess_mm: f64,
-    /// Shares of the machined surface's area that are cut deeper than 0.05 mm, and that keep more
-    /// than what roughing leaves.
+    /// Shares of the machined surface's area that are cut deeper than 0.05 mm, that keep more
+    /// than what roughing leaves though the cutter could come nearer, and that keep it because no
+    /// cutter of that form can.
     pub gouged: f64,
     pub left: f64,
+    pub unreached: f64,
     /// How far the outside of a bead that stays lies from the target, mm.
     pub outside_mm: f64,
 }
@@ -103,7 +111,9 @@ pub fn deviation(
         let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
         let tool = job.tool(&step.tool).ok_or_else(no_tool)?;
         sweeps.push(match step.kind {
-            StepKind::Subtractive => Sweep::of(of_step(i), step.direction.image_plane(), tool),
+            StepKind::Subtractive => {
+                Sweep::of(of_step(i), step.direction.image_plane(), tool, &job.target_mesh)
+            }
             StepKind::Additive => {
                 let out = outside(job, plan, i, of_step(i), tool);
                 found.outside_mm = found.outside_mm.max(out);
@@ -113,21 +123,25 @@ pub fn deviation(
     }
     let stock = job.cutters.iter().map(|t| t.process.stock_to_leave_mm).fold(0.0, f64::max);
     let facets = facets(&job.target_mesh, job.frame.pitch);
-    found.facets =
-        facets.into_par_iter().filter_map(|corners| facet(corners, job, plan, &sweeps)).collect();
+    found.facets = facets
+        .into_par_iter()
+        .filter_map(|corners| facet(corners, job, plan, &sweeps, stock))
+        .collect();
     ctx.check()?;
-    let (mut machined, mut gouged, mut left) = (0.0, 0.0, 0.0);
+    let (mut machined, mut gouged, mut left, mut unreached) = (0.0, 0.0, 0.0, 0.0);
     for f in &found.facets {
         found.gouge_mm = found.gouge_mm.max(-f.off_mm);
         gouged += if f.off_mm < -GOUGE_MM { f.area } else { 0.0 };
         if f.machined {
-            found.excess_mm = found.excess_mm.max(f.off_mm);
+            let excess = f.off_mm - f.reach_mm;
+            found.excess_mm = found.excess_mm.max(excess);
             machined += f.area;
-            left += if f.off_mm > stock { f.area } else { 0.0 };
+            left += if excess > stock { f.area } else { 0.0 };
+            unreached += if excess <= stock && f.off_mm > stock { f.area } else { 0.0 };
         }
     }
     let share = |part: f64| if machined > 0.0 { part / machined } else { 0.0 };
-    (found.gouged, found.left) = (share(gouged), share(left));
+    (found.gouged, found.left, found.unreached) = (share(gouged), share(left), share(unreached));
     Ok(found)
 }
 
@@ -155,7 +169,13 @@ fn facets(mesh: &TriMesh, pitch: f64) -> Vec<[DVec3; 3]> {
 }
 
 /// A facet's deviation; none for one without area, or whose sides the voxels do not tell apart.
-fn facet(corners: [DVec3; 3], job: &Job, plan: &Plan, sweeps: &[Option<Sweep>]) -> Option<Facet> {
+fn facet(
+    corners: [DVec3; 3],
+    job: &Job,
+    plan: &Plan,
+    sweeps: &[Option<Sweep>],
+    stock: f64,
+) -> Option<Facet> {
     let doubled = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
     let normal = doubled.try_normalize()?;
     let p = (corners[0] + corners[1] + corners[2]) / 3.0;
@@ -176,31 +196,37 @@ fn facet(corners: [DVec3; 3], job: &Job, plan: &Plan, sweeps: &[Option<Sweep>]) 
     let steps = 0..plan.steps.len();
     // What is laid after a cut was not there to be cut into.
     let laid = steps.clone().rev().find(|i| in_step(inner, StepKind::Additive, *i));
-    let machined = steps.clone().any(|i| in_step(outer, StepKind::Subtractive, i));
+    let cuts = |i: &usize| in_step(outer, StepKind::Subtractive, *i);
+    let machined = steps.clone().any(|i| cuts(&i));
     let mut off = FAR_MM;
-    for i in steps.filter(|i| laid.is_none_or(|l| *i > l)) {
+    for i in steps.clone().filter(|i| laid.is_none_or(|l| *i > l)) {
         if let Some(sweep) = &sweeps[i] {
             off = sweep.distance(p, off);
         }
     }
     let off_mm = if machined || off < 0.0 { off } else { 0.0 };
-    Some(Facet { corners, normal, area: doubled.length() / 2.0, off_mm, machined })
+    let mut reach_mm = 0.0;
+    if machined && off > stock {
+        let ends = steps.filter(cuts).filter_map(|i| sweeps[i].as_ref());
+        reach_mm = ends.map(|s| s.reach.least(p, normal)).fold(FAR_MM, f64::min);
+    }
+    Some(Facet { corners, normal, area: doubled.length() / 2.0, off_mm, reach_mm, machined })
 }
 
 /// What one step's edge sweeps.
 struct Sweep {
     plane: ImagePlane,
     end: End,
-    origin: DVec2,
-    n: [usize; 2],
+    reach: Reach,
+    cells: Cells,
     /// Moves that cross each cell, lowest first.
-    cells: Vec<Vec<u32>>,
+    lists: Vec<Vec<u32>>,
     /// Both ends of each move, as (u, v, height).
     moves: Vec<[DVec3; 2]>,
 }
 
 impl Sweep {
-    fn of(motions: &[Motion], plane: ImagePlane, tool: &Tool) -> Option<Sweep> {
+    fn of(motions: &[Motion], plane: ImagePlane, tool: &Tool, target: &TriMesh) -> Option<Sweep> {
         let end = End::of(tool)?;
         let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
         let cuts = motions.iter().filter(|m| m.gait == Gait::Feed);
@@ -214,30 +240,26 @@ impl Sweep {
         if moves.is_empty() {
             return None;
         }
-        let n = ((hi - lo) / CELL_MM).floor() + DVec2::ONE;
-        let n = [n.x as usize, n.y as usize];
-        let mut sweep =
-            Sweep { plane, end, origin: lo, n, cells: vec![Vec::new(); n[0] * n[1]], moves };
-        for (i, [a, b]) in sweep.moves.iter().enumerate() {
+        let cells = Cells::over(lo, hi, CELL_MM);
+        let mut lists: Vec<Vec<u32>> = vec![Vec::new(); cells.count()];
+        for (i, [a, b]) in moves.iter().enumerate() {
             let count = (2.0 * a.truncate().distance(b.truncate()) / CELL_MM).ceil().max(1.0);
-            let mut last = usize::MAX;
             for k in 0..=count as usize {
-                let at = ((a.lerp(*b, k as f64 / count).truncate() - lo) / CELL_MM).floor();
-                let at = (at.x as usize).min(n[0] - 1) + n[0] * (at.y as usize).min(n[1] - 1);
-                if at != last && sweep.cells[at].last() != Some(&(i as u32)) {
-                    sweep.cells[at].push(i as u32);
+                let list = cells.at(a.lerp(*b, k as f64 / count).truncate());
+                let list = list.and_then(|at| lists.get_mut(at));
+                if let Some(list) = list.filter(|l| l.last() != Some(&(i as u32))) {
+                    list.push(i as u32);
                 }
-                last = at;
             }
         }
         let low = |i: &u32| {
-            let [a, b] = sweep.moves[*i as usize];
+            let [a, b] = moves[*i as usize];
             a.z.min(b.z)
         };
-        for cell in &mut sweep.cells {
-            cell.sort_by(|i, j| low(i).total_cmp(&low(j)));
+        for list in &mut lists {
+            list.sort_by(|i, j| low(i).total_cmp(&low(j)));
         }
-        Some(sweep)
+        Some(Sweep { plane, end, reach: Reach::new(target, plane, end), cells, lists, moves })
     }
 
     /// The lesser of `best` and the distance from a point to what is swept, negative inside.
@@ -246,24 +268,16 @@ impl Sweep {
         let radius = self.end.radius();
         // Half a cell for moves that cut a corner between two of their points.
         let reach = radius + best.max(0.0) + CELL_MM;
-        let cell = |q: DVec2| ((q - self.origin) / CELL_MM).floor();
-        let (lo, hi) = (cell(uv - reach), cell(uv + reach));
-        let clip = |x: f64, n: usize| x.clamp(0.0, n as f64 - 1.0) as usize;
-        if hi.x < 0.0 || hi.y < 0.0 || lo.x >= self.n[0] as f64 || lo.y >= self.n[1] as f64 {
-            return best;
-        }
         let mut best = best;
-        for j in clip(lo.y, self.n[1])..=clip(hi.y, self.n[1]) {
-            for i in clip(lo.x, self.n[0])..=clip(hi.x, self.n[0]) {
-                for m in &self.cells[i + self.n[0] * j] {
-                    let [a, b] = self.moves[*m as usize];
-                    // No point of the end is lower than its tip, none farther out than its radius.
-                    if a.z.min(b.z) - z >= best {
-                        break;
-                    }
-                    if apart(uv, a.truncate(), b.truncate()) - radius < best {
-                        best = best.min(self.along(uv.extend(z), a, b));
-                    }
+        for at in self.cells.within(uv - reach, uv + reach) {
+            for m in &self.lists[at] {
+                let [a, b] = self.moves[*m as usize];
+                // No point of the end is lower than its tip, none farther out than its radius.
+                if a.z.min(b.z) - z >= best {
+                    break;
+                }
+                if apart(uv, a.truncate(), b.truncate()) - radius < best {
+                    best = best.min(self.along(uv.extend(z), a, b));
                 }
             }
         }

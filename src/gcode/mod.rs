@@ -11,6 +11,7 @@
 
 mod arcs;
 mod beads;
+mod cells;
 mod check;
 mod deviation;
 mod dialect;
@@ -18,6 +19,7 @@ mod interpret;
 mod module;
 mod post;
 mod program;
+mod reach;
 mod report;
 mod skyline;
 mod sweep;

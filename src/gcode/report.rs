@@ -74,6 +74,28 @@ pub struct Finding {
     pub message: String,
 }
 
+impl Finding {
+    /// A step that does less of its volume than it must.
+    pub(super) fn too_little(
+        line: usize,
+        does: &str,
+        share: f64,
+        what: &str,
+        least: f64,
+    ) -> Option<Finding> {
+        let percent = |share: f64| 100.0 * share;
+        (share < least).then(|| Finding {
+            line,
+            rule: Rule::Volume,
+            message: format!(
+                "{does} {:.1} % of {what}, less than {:.0} %",
+                percent(share),
+                percent(least)
+            ),
+        })
+    }
+}
+
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "line {}, {}: {}", self.line, self.rule, self.message)

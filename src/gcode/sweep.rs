@@ -6,6 +6,7 @@
 //! later; contact shallower than the stated depth.
 
 use super::beads::beads;
+use super::cells::Cells;
 use super::interpret::{Gait, MOST_FINDINGS, Motion};
 use super::report::{Finding, Rule, StepFigures};
 use super::skyline::Skyline;
@@ -173,30 +174,21 @@ fn has_room(scene: &Scene, tip: DVec3) -> bool {
 /// The lowest tip in each (u, v) cell.
 struct Lowest {
     plane: ImagePlane,
-    origin: DVec2,
-    cell: f64,
-    n: [usize; 2],
+    cells: Cells,
     tips: Vec<Option<DVec3>>,
 }
 
 impl Lowest {
-    fn over(lo: DVec2, hi: DVec2, cell: f64, plane: ImagePlane) -> Lowest {
-        let n = ((hi - lo) / cell).floor() + DVec2::ONE;
-        let n = [n.x as usize, n.y as usize];
-        Lowest { plane, origin: lo, cell, n, tips: vec![None; n[0] * n[1]] }
-    }
-
-    fn cell_of(&self, uv: DVec2) -> Option<[usize; 2]> {
-        let g = ((uv - self.origin) / self.cell).floor();
-        let inside = g.x >= 0.0 && g.y >= 0.0 && g.x < self.n[0] as f64 && g.y < self.n[1] as f64;
-        inside.then_some([g.x as usize, g.y as usize])
+    fn over(lo: DVec2, hi: DVec2, side: f64, plane: ImagePlane) -> Lowest {
+        let cells = Cells::over(lo, hi, side);
+        Lowest { plane, cells, tips: vec![None; cells.count()] }
     }
 
     /// False when the tip is outside.
     fn note(&mut self, tip: DVec3) -> bool {
         let uv = self.plane.across(tip);
-        let Some(c) = self.cell_of(uv) else { return false };
-        let at = &mut self.tips[c[0] + self.n[0] * c[1]];
+        let Some(c) = self.cells.at(uv) else { return false };
+        let at = &mut self.tips[c];
         let z = self.plane.height(tip);
         if at.is_none_or(|t| z < t.z) {
             *at = Some(uv.extend(z));
@@ -207,12 +199,10 @@ impl Lowest {
     /// Whether the edge of `tool` at some tip came within `slack` under the point.
     fn swept(&self, p: DVec3, tool: &Tool, near: &[(i64, i64)], slack: f64) -> bool {
         let (uv, z) = (self.plane.across(p), self.plane.height(p));
-        let Some(c) = self.cell_of(uv) else { return false };
+        let Some(c) = self.cells.cell_of(uv) else { return false };
         near.iter().any(|(i, j)| {
-            let (i, j) = (c[0] as i64 + i, c[1] as i64 + j);
-            let inside = i >= 0 && j >= 0 && i < self.n[0] as i64 && j < self.n[1] as i64;
-            let tip = if inside { self.tips[i as usize + self.n[0] * j as usize] } else { None };
-            tip.is_some_and(|t| {
+            let at = self.cells.index([c[0] + i, c[1] + j]);
+            at.and_then(|at| self.tips[at]).is_some_and(|t| {
                 let rho = (t.truncate().distance(uv) - slack).max(0.0);
                 t.z + tool.active_lower_surface(rho) <= z + slack
             })
@@ -245,15 +235,13 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     }
     let margin = DVec2::splat(radius + 4.0 * h);
     let mut lowest = Lowest::over(lo - margin, hi + margin, h / 2.0, plane);
-    let over = footprint(&lowest, &centers, radius + 2.0 * h);
+    let over = footprint(&lowest.cells, plane, &centers, radius + 2.0 * h);
     let mut astray = Told::new(Rule::Astray);
     for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
         figures.working_mm += m.from.map_or(0.0, |f| f.distance(m.to));
         let mut away = None;
         for p in samples(m, h / 2.0) {
-            let inside =
-                lowest.cell_of(plane.across(p)).is_some_and(|c| over[c[0] + lowest.n[0] * c[1]]);
-            if !inside {
+            if !lowest.cells.at(plane.across(p)).is_some_and(|c| over[c]) {
                 away = away.or(Some(p));
             }
             lowest.note(p);
@@ -280,14 +268,9 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     if missed.len() >= LEAST_LUMP {
         findings.push(lump(scene, motions, &missed));
     }
-    if figures.coverage < LEAST_SWEPT {
-        let message = format!(
-            "the edge sweeps {:.1} % of the {volume:.0} mm³ to remove, less than {:.0} %",
-            100.0 * figures.coverage,
-            100.0 * LEAST_SWEPT
-        );
-        findings.push(Finding { line: scene.line, rule: Rule::Volume, message });
-    }
+    let what = format!("the {volume:.0} mm³ to remove");
+    let share = figures.coverage;
+    findings.extend(Finding::too_little(scene.line, "the edge sweeps", share, &what, LEAST_SWEPT));
     (figures, findings)
 }
 
@@ -320,13 +303,12 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
     let radius = tool.active_radius();
     let level = tool.process.step_down * 2.0 * radius;
     let most = LEVELS * level + 2.0 * h;
-    let hi = over.origin + DVec2::new(over.n[0] as f64, over.n[1] as f64) * over.cell;
-    let cells = Lowest::over(over.origin, hi, h, over.plane);
-    let mut tops = vec![f64::NEG_INFINITY; cells.tips.len()];
+    let plane = over.plane;
+    let cells = Cells::over(over.cells.origin, over.cells.end(), h);
+    let mut tops = vec![f64::NEG_INFINITY; cells.count()];
     for p in centers {
-        if let Some(c) = cells.cell_of(cells.plane.across(*p)) {
-            let top = &mut tops[c[0] + cells.n[0] * c[1]];
-            *top = top.max(cells.plane.height(*p) + h / 2.0);
+        if let Some(c) = cells.at(plane.across(*p)) {
+            tops[c] = tops[c].max(plane.height(*p) + h / 2.0);
         }
     }
     let reach = (radius / h).floor() as i64;
@@ -338,11 +320,11 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
     let flat = tool.active_lower_surface(radius / 2.0) < FLAT_MM;
     let mut told = Told::new(Rule::Engagement);
     for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
-        if flat && m.from.is_some_and(|from| sinks_straight(&over.plane, from, m.to)) {
-            let (uv, z) = (cells.plane.across(m.to), cells.plane.height(m.to));
+        if flat && m.from.is_some_and(|from| sinks_straight(&plane, from, m.to)) {
+            let (uv, z) = (plane.across(m.to), plane.height(m.to));
             let deep = |(i, j, lower): &&(i64, i64, f64)| {
-                let c = cells.cell_of(uv + DVec2::new(*i as f64, *j as f64) * h);
-                c.is_some_and(|c| tops[c[0] + cells.n[0] * c[1]] - z - lower > h + level)
+                let c = cells.at(uv + DVec2::new(*i as f64, *j as f64) * h);
+                c.is_some_and(|c| tops[c] - z - lower > h + level)
             };
             if 2 * edge.iter().filter(deep).count() > edge.len() && has_room(scene, m.to) {
                 told.tell(m.line, "the cutter goes straight down into material".into());
@@ -350,14 +332,11 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
         }
         let (mut deepest, mut area) = (0.0f64, 0.0);
         for p in samples(m, h / 2.0) {
-            let (uv, z) = (cells.plane.across(p), cells.plane.height(p));
+            let (uv, z) = (plane.across(p), plane.height(p));
             let Some(c) = cells.cell_of(uv) else { continue };
             for &(i, j, lower) in &edge {
-                let (i, j) = (c[0] as i64 + i, c[1] as i64 + j);
-                if i < 0 || j < 0 || i >= cells.n[0] as i64 || j >= cells.n[1] as i64 {
-                    continue;
-                }
-                let top = &mut tops[i as usize + cells.n[0] * j as usize];
+                let Some(at) = cells.index([c[0] + i, c[1] + j]) else { continue };
+                let top = &mut tops[at];
                 let depth = *top - z - lower;
                 if depth > 0.0 {
                     deepest = deepest.max(depth);
@@ -376,15 +355,15 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
 }
 
 /// Cells within `reach` mm of a point's cell.
-fn footprint(cells: &Lowest, points: &[DVec3], reach: f64) -> Vec<bool> {
-    let mut seeds = vec![false; cells.tips.len()];
+fn footprint(cells: &Cells, plane: ImagePlane, points: &[DVec3], reach: f64) -> Vec<bool> {
+    let mut seeds = vec![false; cells.count()];
     for p in points {
-        if let Some(c) = cells.cell_of(cells.plane.across(*p)) {
-            seeds[c[0] + cells.n[0] * c[1]] = true;
+        if let Some(c) = cells.at(plane.across(*p)) {
+            seeds[c] = true;
         }
     }
     // Exact squared distance would be overkill: two passes of chords along u, then the disc in v.
-    let r = (reach / cells.cell).ceil() as usize;
+    let r = (reach / cells.side).ceil() as usize;
     let [nx, ny] = cells.n;
     let mut gap = vec![usize::MAX; seeds.len()];
     for j in 0..ny {

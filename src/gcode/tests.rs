@@ -328,26 +328,3 @@ fn a_program_has_its_skeleton() {
     .concat();
     assert_eq!(skeleton, want);
 }
-
-#[test]
-#[ignore = "measures; run it by hand with optimisation"]
-fn timing_of_a_large_plan() {
-    let w = crate::toolpath::tests::large("generic-5axis");
-    let ctx = Ctx::quiet();
-    let clock = std::time::Instant::now();
-    let p = for_unverified(&w.job, &w.plan, &ctx).unwrap();
-    eprintln!("paths {:.2} s", clock.elapsed().as_secs_f64());
-    let program = post(&w.job, &w.plan, &p, "sha256:0").unwrap();
-    eprintln!("post {:.2} s", clock.elapsed().as_secs_f64());
-    let r = check(program.text(), &w.job, &w.plan, Some(&p), &ctx).unwrap();
-    eprintln!(
-        "check {:.2} s, {} lines, {} bytes",
-        clock.elapsed().as_secs_f64(),
-        r.lines,
-        program.text().len()
-    );
-    for (a, b) in p.all().iter().zip(&r.steps) {
-        eprintln!("{:?} {} moves {:?}\n    {:?}", a.kind, a.moves.len(), a.figures, b);
-    }
-    eprintln!("{}", told(&r));
-}

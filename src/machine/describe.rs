@@ -1,6 +1,7 @@
 //! What a person reads about a tool or a machine.
 
-use super::kinematics::{Chain, Linear, Mount, Rotary};
+use super::joints::Linear;
+use super::kinematics::{Chain, Mount, Rotary};
 use super::process;
 use super::{Machine, Shape, Table, Tool, ToolKind};
 use std::fmt::Write;
@@ -128,7 +129,19 @@ fn arrangement(chain: &Chain) -> String {
 
 fn describe_linear(axis: &Linear) -> String {
     let [low, high] = axis.limits_mm;
-    format!("{} to {} mm, parks at {} mm", show(low), show(high), show(axis.home_mm))
+    let mut text =
+        format!("{} to {} mm, parks at {} mm", show(low), show(high), show(axis.home_mm));
+    if axis.on == Mount::Table {
+        text += "; moves the table";
+    }
+    if let Some(d) = axis.axis {
+        let vector = d.vec().to_array().map(show).join(", ");
+        text += &format!("; along ({vector})");
+    }
+    if axis.carried_by > 0 {
+        text += &format!("; carried by {} of its body's rotary axes", axis.carried_by);
+    }
+    text
 }
 
 fn describe_rotary(axis: &Rotary) -> String {

@@ -78,6 +78,9 @@ impl Machine {
             }
         }
         .map_err(|e| bad(&[Key("workholding"), Key("table")], e))?;
+        self.workholding
+            .place_on_table()
+            .map_err(|e| bad(&[Key("workholding"), Key("place")], e))?;
         self.kinematics.find_bad_figure()?;
         self.control.validate().map_err(|e| bad(&[Key("control")], e))?;
         if let Some(extruder) = &self.extruder {
@@ -114,7 +117,8 @@ impl Chain {
             let what = format!("both rotary axes are called {}", self.first.letter);
             return Err(bad(&[Key("kinematics"), Key("second"), Key("letter")], what));
         }
-        self.orientable().map_err(|e| bad(&here("second"), e))
+        self.orientable().map_err(|e| bad(&here("second"), e))?;
+        self.movable().map_err(|(key, e)| bad(&here(key), e))
     }
 }
 

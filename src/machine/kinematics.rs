@@ -17,9 +17,12 @@
 //! R_h z       = R_t · R_placement · d                                 (d: from the work to the spindle)
 //! ```
 //!
+//! That is for linear axes that carry the head square before any rotary; others are in [`Linear`].
+//!
 //! Guarantees: forward ∘ inverse is the identity to 10⁻⁹ mm. Not guaranteed: nothing here knows
 //! obstacles; that a pose is free of collision is decided elsewhere.
 
+use super::joints::Linear;
 use super::placement::Placement;
 use crate::base::{DAffine3, DMat3, DVec3, Direction};
 use schemars::JsonSchema;
@@ -58,15 +61,6 @@ pub struct Rotary {
 
 fn default_rotary_rapid() -> f64 {
     3600.0
-}
-
-/// A linear axis. Limits hold for the spindle nose while the head's rotaries stand at zero.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Linear {
-    pub limits_mm: [f64; 2],
-    /// Where the axis parks (spindle nose), mm.
-    pub home_mm: f64,
 }
 
 /// Three linear axes and two rotary ones.
@@ -118,7 +112,7 @@ impl AxisValues {
 
 /// Sine and cosine of an angle in degrees, exact at the quarter turns, so that an indexed table
 /// does not smear 10⁻¹⁷ over coordinates that are zero.
-fn sin_cos_deg(angle_deg: f64) -> (f64, f64) {
+pub(super) fn sin_cos_deg(angle_deg: f64) -> (f64, f64) {
     let turns = angle_deg.rem_euclid(360.0);
     match turns {
         0.0 => (0.0, 1.0),
@@ -139,7 +133,7 @@ impl Rotary {
     }
 
     /// Motion of the carried body: the rotation about the axis through its pivot.
-    fn motion(&self, angle_deg: f64) -> DAffine3 {
+    pub(super) fn motion(&self, angle_deg: f64) -> DAffine3 {
         let r = self.rotation(angle_deg);
         let pivot = DVec3::from_array(self.pivot_mm);
         DAffine3::from_mat3_translation(r, pivot - r * pivot)
@@ -185,7 +179,7 @@ impl Chain {
     }
 
     /// Both rotaries with their angles, the carrying one first.
-    fn rotaries(&self, angles: RotaryAngles) -> impl Iterator<Item = (&Rotary, f64)> {
+    pub(super) fn rotaries(&self, angles: RotaryAngles) -> impl Iterator<Item = (&Rotary, f64)> {
         [(&self.first, angles.first_deg), (&self.second, angles.second_deg)].into_iter()
     }
 
@@ -195,7 +189,8 @@ impl Chain {
         self.motion_of(Mount::Head, rotary).transform_point3(tip_at_home) - tip_at_home
     }
 
-    /// Where a point of the work is in machine coordinates with the rotaries at these angles.
+    /// Where a point of the work is in machine coordinates with the rotaries at these angles and
+    /// linear axes of the table at zero.
     pub fn machine_point(
         &self,
         placement: &Placement,
@@ -205,7 +200,7 @@ impl Chain {
         self.machine_from_work(placement, rotary).transform_point3(work_point)
     }
 
-    /// The work's frame in machine coordinates with the rotaries at these angles.
+    /// The work's frame in machine coordinates, likewise.
     pub fn machine_from_work(&self, placement: &Placement, rotary: RotaryAngles) -> DAffine3 {
         self.motion_of(Mount::Table, rotary) * placement.machine_from_work
     }
@@ -219,6 +214,10 @@ impl Chain {
         tip: DVec3,
         gauge_mm: f64,
     ) -> AxisValues {
+        if !self.is_cartesian() {
+            let nose = self.nose(placement, rotary, tip, gauge_mm);
+            return AxisValues::new(nose - DVec3::Z * gauge_mm, rotary);
+        }
         let machine_tip = self.machine_point(placement, rotary, tip);
         AxisValues::new(machine_tip - self.tip_from_program(rotary, gauge_mm), rotary)
     }
@@ -231,6 +230,11 @@ impl Chain {
         gauge_mm: f64,
     ) -> (DVec3, Direction) {
         let rotary = axes.rotary();
+        if !self.is_cartesian() {
+            let nose = axes.linear() + DVec3::Z * gauge_mm;
+            let (tip, way) = self.tip_of_nose(placement, rotary, nose, gauge_mm);
+            return (tip, Direction::new(way).unwrap_or(Direction::Z));
+        }
         let machine_tip = axes.linear() + self.tip_from_program(rotary, gauge_mm);
         let work_from_machine = self.machine_from_work(placement, rotary).inverse();
         let spindle = self.motion_of(Mount::Head, rotary).transform_vector3(DVec3::Z);

@@ -127,6 +127,7 @@ impl Chain {
                     second_deg: pick(&self.second, second, previous.second_deg)?,
                 })
             })
+            .filter(|angles| self.spans(*angles))
             .collect();
         found.sort_by(|a, b| {
             let key = |s: &RotaryAngles| self.turning_cost(previous, *s);

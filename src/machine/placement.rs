@@ -24,11 +24,14 @@ impl Placement {
 
 impl Machine {
     /// The work held with `holding.up` away from the table, the point of the base plane under
-    /// `contact_center` (work coordinates, mm) one pedestal above the table's centre.
+    /// `contact_center` (work coordinates, mm) one pedestal above the part's place on the table.
     pub fn placement(&self, holding: &Holding, contact_center: DVec3) -> Placement {
         let rotation = Placement::rotation_of(holding.up);
         let on_base = contact_center - holding.up.vec() * holding.height(contact_center);
+        let place = self.workholding.place;
+        let rotation = if place.is_centre() { rotation } else { place.rotation() * rotation };
         let stands_at = DVec3::from_array(self.kinematics.table_center_mm)
+            + place.offset()
             + DVec3::Z * self.workholding.pedestal_mm;
         let translation = stands_at - rotation * on_base;
         Placement { machine_from_work: DAffine3::from_mat3_translation(rotation, translation) }

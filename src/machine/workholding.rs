@@ -6,6 +6,8 @@
 //! points a square lattice. Only the shells are sampled: a tool that goes up without end cannot
 //! hold an inner point without holding one of the shell.
 
+use super::place::Place;
+use super::placement::Placement;
 use crate::base::{DVec3, Direction};
 use crate::voxel::{BitGrid, Frame};
 use schemars::JsonSchema;
@@ -74,6 +76,9 @@ pub struct Workholding {
     /// Height of the pedestal between table and part, mm.
     pub pedestal_mm: f64,
     pub table: Table,
+    /// Where the part stands on it.
+    #[serde(default, skip_serializing_if = "Place::is_centre")]
+    pub place: Place,
 }
 
 /// Spacing of table samples, mm: far below any head's radius, coarse enough to stay cheap.
@@ -125,8 +130,22 @@ impl Workholding {
             }
         }
         let middle = cells.iter().map(|&(a, b)| on_plane(a, b)).sum::<DVec3>() / cells.len() as f64;
-        self.table_points(middle - up * self.pedestal_mm, s, t, &mut points);
+        let foot = middle - up * self.pedestal_mm;
+        if self.place.is_centre() {
+            self.table_points(foot, s, t, &mut points);
+        } else {
+            self.moved_table_points(foot, holding.up, &mut points);
+        }
         points
+    }
+
+    /// The same for a part that does not stand on the table's centre, `foot` below it.
+    fn moved_table_points(&self, foot: DVec3, up: Direction, points: &mut Vec<DVec3>) {
+        let machine_from_work = self.place.rotation() * Placement::rotation_of(up);
+        let work_from_machine = machine_from_work.transpose();
+        let mut flat = Vec::new();
+        self.table_points(DVec3::ZERO, 0, 1, &mut flat);
+        points.extend(flat.iter().map(|p| foot + work_from_machine * (*p - self.place.offset())));
     }
 
     /// Samples of the table's top face around `centre`; `s` and `t` are the axes across it.
@@ -162,7 +181,11 @@ mod tests {
         let grip = 2.0;
         let contact = Holding::AS_CLAMPED.contact(&state, &frame, grip);
         assert_eq!(contact.count(), 2 * 4 * 2);
-        let hold = Workholding { pedestal_mm: 10.0, table: Table::Disc { radius_mm: 6.0 } };
+        let hold = Workholding {
+            pedestal_mm: 10.0,
+            table: Table::Disc { radius_mm: 6.0 },
+            place: Place::default(),
+        };
         let points = hold.obstacle_points(&Holding::AS_CLAMPED, &contact, &frame);
         assert!(points.iter().all(|p| p.z < 0.0));
         let pedestal = points.iter().filter(|p| p.z > -10.0).count();
@@ -177,7 +200,8 @@ mod tests {
         let flipped = Holding { up: Direction::NEG_Z, height_mm: -3.0 };
         let contact = flipped.contact(&full, &frame, 1.0);
         assert!(contact.iter_ones().all(|v| v[2] == 2));
-        let hold = Workholding { pedestal_mm: 5.0, table: Table::Box { x_mm: 10.0, y_mm: 10.0 } };
+        let table = Table::Box { x_mm: 10.0, y_mm: 10.0 };
+        let hold = Workholding { pedestal_mm: 5.0, table, place: Place::default() };
         let points = hold.obstacle_points(&flipped, &contact, &frame);
         assert!(points.iter().all(|p| p.z > 3.0));
     }

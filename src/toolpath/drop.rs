@@ -61,6 +61,13 @@ impl End {
         out.max(0.0).hypot(down.max(0.0)) + out.max(down).min(0.0) - round
     }
 
+    /// From a contact on a surface to the axis, across it; `across` is the part of the surface's
+    /// unit normal that lies across.
+    pub fn contact_to_axis(&self, across: DVec2) -> DVec2 {
+        let (flat, round) = self.torus();
+        across.normalize_or_zero() * flat + across * round
+    }
+
     /// Height of the end's surface over the tip at a distance from the axis, within the radius.
     fn lower(&self, rho: f64) -> f64 {
         let (flat, round) = self.torus();
@@ -91,9 +98,8 @@ impl End {
         if normal.z < UPRIGHT {
             return None;
         }
-        let (flat, round) = self.torus();
-        let across = normal.truncate().normalize_or_zero();
-        let contact = at - across * flat - normal.truncate() * round;
+        let (_, round) = self.torus();
+        let contact = at - self.contact_to_axis(normal.truncate());
         if !inside(contact, a.truncate(), b.truncate(), c.truncate()) {
             return None;
         }

@@ -10,7 +10,7 @@
 //! the lattice. Not guaranteed: within a voxel of the rim between two surfaces.
 
 use super::drop::{DropCutter, End};
-use super::image::{Image, Lattice, Profile};
+use super::image::{Cell, Image, Lattice, Profile};
 use super::mill::{Free, Work};
 use crate::base::{DVec2, DVec3};
 use crate::mesh::{NearestTriangle, TriMesh};
@@ -24,10 +24,28 @@ const NEAR_PITCH: f64 = 0.87;
 const JUDGED_PITCH: f64 = 4.0;
 
 pub(super) struct Exact {
+    end: End,
+    drop: DropCutter,
     /// Heights at which the end rests on what stands of the meshes.
     resting: Image,
+    /// What rests higher than this does not stand.
+    bound: Image,
     /// Obstacles that no mesh stands for, with pedestal and table.
     rest: Image,
+}
+
+/// Lowest free tips at the lattice's cells.
+pub(super) struct Lowest {
+    pub tips: Image,
+    /// What of it the voxels ask for, whatever the meshes do.
+    guard: Image,
+}
+
+impl Lowest {
+    /// Of voxels alone.
+    pub fn of_voxels(tips: Image) -> Lowest {
+        Lowest { guard: Image::empty(tips.lattice), tips }
+    }
 }
 
 impl Exact {
@@ -73,28 +91,117 @@ impl Exact {
             let uv = lattice.uv(lattice.cell_of_index(i));
             *z = drop.height(end, uv).map_or(f32::NEG_INFINITY, |z| z as f32);
         });
-        Some(Exact { resting, rest })
+        // No point of the surface is farther from its voxel.
+        let far = NEAR_PITCH * h + lattice.s;
+        let bound = free.heights(work.tool, far, far);
+        Some(Exact { end, drop, resting, bound, rest })
     }
 
     /// Lowest free tips: the end over the meshes, the rest of the tool over the voxels; with the
     /// tool grown by `side` and `down` where voxels are the obstacle, by `over` over the meshes.
-    pub fn heights(&self, work: &Work, free: &Free, side: f64, down: f64, over: f64) -> Image {
+    pub fn heights(&self, work: &Work, free: &Free, side: f64, down: f64, over: f64) -> Lowest {
         let tool = work.tool;
         let (edge, s) = (tool.active_radius(), free.window.s);
         let upper = |rho: f64| if rho <= edge { f64::INFINITY } else { tool.lower_surface(rho) };
         let holder = Profile::new(upper, tool.max_radius(), s, side, down);
         let end = Profile::new(|rho| tool.active_lower_surface(rho), edge, s, side, down);
-        let mut out = free.dilated(&holder);
+        let mut guard = free.dilated(&holder);
         let bare = end.dilate(&self.rest, free.window, free.highest());
-        // No point of the surface is farther from its voxel: what rests higher does not stand.
-        let far = NEAR_PITCH * work.frame.pitch + s;
-        let bound = free.heights(tool, far, far);
-        let resting = self.resting.data.iter().zip(&bound.data).map(|(r, b)| r.min(*b));
-        for ((z, b), r) in out.data.iter_mut().zip(&bare.data).zip(resting) {
-            *z = z.max(*b).max(r + over as f32);
-        }
-        out
+        guard.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
+        let mut tips = guard.clone();
+        let resting = self.resting.data.iter().zip(&self.bound.data).map(|(r, b)| r.min(*b));
+        tips.data.iter_mut().zip(resting).for_each(|(z, r)| *z = z.max(r + over as f32));
+        Lowest { tips, guard }
     }
+
+    /// Lowest free tip anywhere within the lattice: over the meshes exact, over the voxels that of
+    /// the highest cell around.
+    pub fn lowest(&self, at: DVec2, of: &Lowest) -> f64 {
+        let lattice = of.guard.lattice;
+        let g = (at - lattice.origin) / lattice.s;
+        // A tip on a cell's centre has that cell alone around it, rounding or not.
+        let (low, high) = ((g + ON_CELL).floor(), (g - ON_CELL).ceil());
+        let (last_u, last_v) = (lattice.n[0] as f64 - 1.0, lattice.n[1] as f64 - 1.0);
+        if low.min_element() < 0.0 || high.x > last_u || high.y > last_v {
+            return f64::INFINITY;
+        }
+        let (mut guard, mut bound) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+        for j in low.y as usize..=high.y as usize {
+            for i in low.x as usize..=high.x as usize {
+                guard = guard.max(of.guard.at([i, j]));
+                bound = bound.max(self.bound.at([i, j]));
+            }
+        }
+        let resting = self.drop.height(self.end, at).unwrap_or(f64::NEG_INFINITY);
+        guard.max(resting.min(bound))
+    }
+
+    /// Moves a tip at height `z` from the cell `c` aside, by less than a cell, until it meets the
+    /// wall next to it: walls lie between the columns of the lattice. Over a foot that is not level
+    /// the tip rises on the way. The offset and the height, mm.
+    pub fn aside(&self, c: Cell, z: f64, of: &Lowest) -> (DVec2, f64) {
+        let lattice = of.tips.lattice;
+        let mut to = DVec2::ZERO;
+        for (i, j) in (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j))) {
+            let at = (c[0].checked_add_signed(i), c[1].checked_add_signed(j));
+            let (Some(a), Some(b)) = at else { return (DVec2::ZERO, z) };
+            if a >= lattice.n[0] || b >= lattice.n[1] {
+                return (DVec2::ZERO, z);
+            }
+            let by = DVec2::new(i as f64, j as f64);
+            if of.tips.at([a, b]) > z + TOUCH_MM + RISE * by.length() * lattice.s {
+                to += by.normalize_or_zero();
+            }
+        }
+        // Between two walls a cell apart there is no side to go to.
+        if to.length() < LEAST_PULL {
+            return (DVec2::ZERO, z);
+        }
+        let from = lattice.uv(c);
+        let clear = |by: DVec2| self.lowest(from + by, of) <= z + TOUCH_MM + RISE * by.length();
+        let way = to / to.abs().max_element() * lattice.s;
+        let mut by = farthest(DVec2::ZERO, way, &clear);
+        if to.abs().min_element() > 0.0 {
+            // Into a corner: along one wall to the other.
+            for axis in [DVec2::X, DVec2::Y] {
+                by = farthest(by, axis * (way - by), &clear);
+            }
+        }
+        if by == DVec2::ZERO {
+            return (by, z);
+        }
+        (by, z.max(self.lowest(from + by, of)))
+    }
+}
+
+/// How much nearer than a cell's centre two positions are one, in cells.
+const ON_CELL: f64 = 1e-6;
+
+/// Sum of the unit vectors to the steep cells around below which they lie on either side.
+const LEAST_PULL: f64 = 0.5;
+
+/// What rises more steeply is a wall, 56°: what rises less the lattice finishes by itself, with
+/// ridges of its own cells.
+const RISE: f64 = 1.5;
+
+/// How much higher than its surface a tip may find it aside, mm: the rounding of heights.
+const TOUCH_MM: f64 = 1e-3;
+
+/// Halvings of the way aside: less than a micrometre is left of a cell of 0.5 mm.
+const HALVINGS: usize = 9;
+
+/// How far one can go from `by` along `way` while it is clear.
+fn farthest(by: DVec2, way: DVec2, clear: &dyn Fn(DVec2) -> bool) -> DVec2 {
+    let (mut low, mut high) = (0.0, 1.0);
+    // Mostly there is nothing to gain.
+    if !clear(by + way * 0.03) {
+        return by;
+    }
+    for _ in 0..HALVINGS {
+        let middle = (low + high) / 2.0;
+        if clear(by + way * middle) { low = middle } else { high = middle }
+    }
+    by + way * low
 }
 
 /// Pieces of a mesh on whose inner side `solid` has material, as (u, v, height), over a box of

@@ -13,7 +13,8 @@
 //! that only the voxels leave room for. Not guaranteed: a constant engagement.
 
 use super::contour::{chains, nearest_order};
-use super::exact::{Exact, steepness};
+use super::exact::{Exact, Lowest, steepness};
+use super::faces::{faces, rows};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
@@ -32,6 +33,10 @@ const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Share of the region that must be swept: a little more than the program's check asks for.
 const LEAST_SHARE: f64 = 0.985;
+
+/// How deep a cutter may go into a surface to get at what stands in a crevice, mm: less than what
+/// counts as a gouge, rounding of three decimals included.
+const NICK_MM: f64 = 0.045;
 
 /// What a step works on.
 pub(super) struct Work<'a> {
@@ -143,9 +148,9 @@ struct Stage<'a> {
     /// Lowest tip height worth going to.
     floor: Image,
     /// H for finishing: half a voxel off the voxel centres.
-    fine: Image,
+    fine: Lowest,
     /// H without margin.
-    exact: Image,
+    exact: Lowest,
     /// Heights over the meshes, where the job has them.
     meshes: Option<Exact>,
     edge: Profile,
@@ -155,6 +160,10 @@ struct Stage<'a> {
     done: Vec<f32>,
     safe: f64,
     at: Option<(Cell, f64)>,
+    /// Whether passes go up to the walls beside their cells.
+    to_walls: bool,
+    /// How far from its cell the tip stands.
+    aside: DVec2,
     moves: Vec<Move>,
 }
 
@@ -189,11 +198,11 @@ impl<'a> Stage<'a> {
         let half = h / 2.0 + rounding(work, lattice.s);
         let heights = |side: f64, down: f64| match &meshes {
             Some(m) => m.heights(work, &free, side, down, 0.0),
-            None => free.heights(work.tool, side, down),
+            None => Lowest::of_voxels(free.heights(work.tool, side, down)),
         };
         let (fine, exact) = (heights(half, h / 2.0), heights(0.0, 0.0));
         let highest = |i: &Image| i.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let safe = free.state_top.max(f64::from(highest(&fine))) + CLEARANCE_MM;
+        let safe = free.state_top.max(f64::from(highest(&fine.tips))) + CLEARANCE_MM;
         let stock = Stock::new(&tops, &edge, h / 2.0);
         Stage {
             stock,
@@ -210,6 +219,8 @@ impl<'a> Stage<'a> {
             free,
             safe,
             at: None,
+            to_walls: false,
+            aside: DVec2::ZERO,
             moves: Vec::new(),
         }
     }
@@ -223,7 +234,8 @@ impl<'a> Stage<'a> {
             None => coarse,
             // The voxels' margin is the stock's to the side; over the meshes it is exact below.
             Some(m) => {
-                let mut z = m.heights(self.work, &self.free, half + stock, h / 2.0 + stock, stock);
+                let side = half + stock;
+                let mut z = m.heights(self.work, &self.free, side, h / 2.0 + stock, stock).tips;
                 z.data.iter_mut().zip(&coarse.data).for_each(|(z, c)| *z = z.max(*c));
                 z
             }
@@ -274,7 +286,8 @@ impl<'a> Stage<'a> {
     }
 
     fn finish(&mut self) {
-        let bottom = self.bottoms(&self.fine);
+        self.to_walls = true;
+        let bottom = self.bottoms(&self.fine.tips);
         let near = self.near();
         let same = SAME_HEIGHT_MM as f32;
         let due: Vec<bool> = (0..bottom.len())
@@ -303,13 +316,38 @@ impl<'a> Stage<'a> {
         self.process.step_down = ridge.min(rough);
         self.levels(&steep, &ceiling, &near);
         self.process.step_down = rough;
-        let flat: Vec<bool> = (0..due.len()).map(|i| due[i] && steep[i].is_infinite()).collect();
+        let mut flat: Vec<bool> =
+            (0..due.len()).map(|i| due[i] && steep[i].is_infinite()).collect();
         let stepover = ridge / self.lattice.s;
         let z = |i: usize| bottom[i];
+        let radius = self.work.tool.active_radius() / self.lattice.s;
+        let least = (std::f64::consts::PI * radius * radius).ceil() as usize;
+        for face in faces(&self.lattice, &bottom, &flat, least) {
+            self.face(&face, &bottom);
+            for i in face {
+                flat[i] = false;
+                self.done[i] = self.done[i].min(bottom[i]);
+            }
+        }
         self.passes(&flat, stepover, &z, self.process.feed);
         for i in (0..bottom.len()).filter(|i| flat[*i]) {
             self.done[i] = self.done[i].min(bottom[i]);
         }
+        self.to_walls = false;
+    }
+
+    /// Rows over a flat face and once around its rim.
+    fn face(&mut self, face: &[usize], bottom: &[f32]) {
+        let apart = self.process.finishing_stepover(self.work.tool) / self.lattice.s;
+        let step = apart.floor().max(1.0) as usize;
+        let z = |i: usize| bottom[i];
+        let feed = self.process.feed;
+        self.follow(rows(&self.lattice, face, step), apart, &z, feed);
+        let mut rim = vec![false; bottom.len()];
+        face.iter().for_each(|i| rim[*i] = true);
+        // The first ring of a set is its rim; a second one would be this many cells inside it.
+        const NO_OTHER: f64 = 1e9;
+        self.follow(chains(&self.lattice, &rim, NO_OTHER), apart, &z, feed);
     }
 
     /// Lowest height cut within a stock's width and two cells of each cell.
@@ -327,18 +365,25 @@ impl<'a> Stage<'a> {
     /// fraction of the region that is covered in the end.
     fn rest(&mut self) -> f64 {
         let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
-        let exact = std::mem::take(&mut self.exact.data);
+        let exact = std::mem::take(&mut self.exact.tips.data);
         let share = self.rest_over(&exact, half, 0.0);
         if self.meshes.is_none() || share == 1.0 {
             return share;
         }
         // What the meshes leave no room for, the voxels may, which is what the plan was made on:
-        // lumps deeper than the tolerance go, at the price of a pitch's gouge in the crevice. Deep
+        // lumps deeper than the tolerance go as far as a nick lets the tool in; a block of which
+        // so much is left that the plan's volume is not cut goes at the price of a pitch's gouge. Deep
         // is meant to all sides: along a wall a cell's width that is left is none.
         let (_, share) = self.uncovered(half, half);
-        let plain = self.free.heights(self.work.tool, 0.0, 0.0);
+        let mut plain = self.free.heights(self.work.tool, 0.0, 0.0);
         let deep = self.work.job.rules.tolerance_mm / 2.0;
-        let slack = if share < LEAST_SHARE { half } else { deep.max(half) };
+        let slack = if share < LEAST_SHARE {
+            half
+        } else {
+            let nicked = |(z, e): (&mut f32, &f32)| *z = z.max(e - NICK_MM as f32);
+            plain.data.iter_mut().zip(&exact).for_each(nicked);
+            deep.max(half)
+        };
         self.rest_over(&plain.data, slack, slack);
         self.uncovered(half, half).1
     }
@@ -414,8 +459,18 @@ impl<'a> Stage<'a> {
         if !set.contains(&true) {
             return;
         }
+        self.follow(chains(&self.lattice, set, stepover), stepover, z, feed);
+    }
+
+    fn follow(
+        &mut self,
+        lines: Vec<Vec<Cell>>,
+        stepover: f64,
+        z: &dyn Fn(usize) -> f32,
+        feed: f64,
+    ) {
         let at = self.at.map(|(c, _)| c);
-        for chain in nearest_order(chains(&self.lattice, set, stepover), at) {
+        for chain in nearest_order(lines, at) {
             if !self.link(chain[0], stepover, z) {
                 let way = ramp(&self.lattice, &chain, z, &|i| self.stock.over(i), self.safe);
                 self.enter(chain[0], way.from, f64::from(z(self.lattice.index(chain[0]))));
@@ -483,7 +538,7 @@ impl<'a> Stage<'a> {
         let Some((_, high)) = self.at else { return };
         let end = f64::from(z(self.lattice.index(pass[0])));
         if high - end <= LEAST_MM {
-            return self.push(MoveKind::Cut, pass[0], end, feed);
+            return self.land(pass[0], end, feed);
         }
         let down = ramp(&self.lattice, pass, z, &|i| self.stock.over(i), high);
         self.push(MoveKind::Cut, pass[0], down.from, self.process.plunge_feed);
@@ -491,6 +546,7 @@ impl<'a> Stage<'a> {
             self.push(MoveKind::Cut, c, h, feed);
         }
         self.push(MoveKind::Cut, pass[0], end, self.process.plunge_feed);
+        self.land(pass[0], end, feed);
     }
 
     /// Cuts to the neighbouring cell at which the rest of a pass begins. On steep ground the tip first
@@ -505,19 +561,36 @@ impl<'a> Stage<'a> {
             self.push(MoveKind::Cut, rest[0], over, feed);
             self.sink(rest, z, feed);
         } else {
-            self.push(MoveKind::Cut, rest[0], to, feed);
+            self.land(rest[0], to, feed);
         }
     }
 
+    /// Cuts to a cell at the height of its pass, or to the wall beside it.
+    fn land(&mut self, cell: Cell, z: f64, feed: f64) {
+        let (aside, z) = match &self.meshes {
+            Some(m) if self.to_walls => m.aside(cell, z, &self.fine),
+            _ => (DVec2::ZERO, z),
+        };
+        self.go(MoveKind::Cut, cell, aside, z, feed);
+    }
+
+    /// To a cell's middle; straight up from where the tip stands aside of it.
     fn push(&mut self, kind: MoveKind, cell: Cell, z: f64, feed: f64) {
-        if self.at == Some((cell, z)) {
+        let up = self.at.is_some_and(|(c, from)| c == cell && z >= from);
+        let aside = if up { self.aside } else { DVec2::ZERO };
+        self.go(kind, cell, aside, z, feed);
+    }
+
+    fn go(&mut self, kind: MoveKind, cell: Cell, aside: DVec2, z: f64, feed: f64) {
+        if self.at == Some((cell, z)) && self.aside == aside {
             return;
         }
         if kind == MoveKind::Cut {
             self.stock.cut(cell, z);
         }
-        self.moves.push(Move { kind, tip: self.lattice.world(cell, z), feed });
-        self.at = Some((cell, z));
+        let tip = self.lattice.plane.world(self.lattice.uv(cell) + aside, z);
+        self.moves.push(Move { kind, tip, feed });
+        (self.at, self.aside) = (Some((cell, z)), aside);
     }
 }
 

@@ -14,6 +14,7 @@ mod contour;
 mod cross;
 mod drop;
 mod exact;
+mod faces;
 mod image;
 mod infill;
 mod mill;

@@ -272,58 +272,6 @@ pub(crate) fn tiny(machine: &str) -> World {
     world(machine, 0.5, size, start, &steps)
 }
 
-/// A block of 100 mm with slots cut and bars printed from twelve directions: as many voxels, steps and
-/// as much material as a bracket.
-pub(crate) fn large(machine: &str) -> World {
-    let start: Part = |p| p.x > 5.0 && p.x < 95.0 && p.y > 5.0 && p.y < 95.0 && p.z < 70.0;
-    let dirs = [
-        DVec3::Z,
-        DVec3::new(0.0, 1.0, 1.0),
-        DVec3::new(1.0, 0.0, 1.0),
-        DVec3::new(-1.0, 0.3, 1.0),
-        DVec3::new(0.2, -1.0, 1.0),
-        DVec3::new(0.1, 0.2, 1.0),
-    ];
-    let cuts: [Part; 6] = [
-        |p| p.z > 66.0 && p.x > 20.0,
-        |p| p.y + p.z > 148.0,
-        |p| p.x + p.z > 148.0,
-        |p| -p.x + 0.3 * p.y + p.z > 66.0,
-        |p| 0.2 * p.x - p.y + p.z > 64.0,
-        |p| p.z + 0.1 * p.x + 0.2 * p.y > 84.0,
-    ];
-    let adds: [Part; 6] = [
-        |p| p.z < 72.0 && p.x > 40.0 && p.x < 60.0 && p.y > 30.0 && p.y < 70.0,
-        |p| {
-            p.y + p.z > 140.0
-                && p.y + p.z < 156.0
-                && p.x > 25.0
-                && p.x < 50.0
-                && p.z - p.y < 0.0
-                && p.z - p.y > -40.0
-        },
-        |p| {
-            p.x + p.z > 140.0
-                && p.x + p.z < 156.0
-                && p.y > 30.0
-                && p.y < 60.0
-                && p.z - p.x < 0.0
-                && p.z - p.x > -40.0
-        },
-        |p| p.z < 76.0 && p.x > 30.0 && p.x < 55.0 && p.y > 30.0 && p.y < 55.0,
-        |p| p.z < 78.0 && p.x > 30.0 && p.x < 55.0 && p.y > 30.0 && p.y < 55.0,
-        |p| p.z < 80.0 && p.x > 30.0 && p.x < 50.0 && p.y > 30.0 && p.y < 50.0,
-    ];
-    let mut steps: Vec<(StepKind, DVec3, Part)> = Vec::new();
-    for (d, c) in dirs.iter().zip(cuts) {
-        steps.push((StepKind::Subtractive, *d, c));
-    }
-    for (i, a) in adds.into_iter().enumerate() {
-        steps.push((StepKind::Additive, if i < 3 { dirs[i] } else { DVec3::Z }, a));
-    }
-    world(machine, 0.5, DVec3::splat(100.0), start, &steps)
-}
-
 #[test]
 fn verified_plans_give_verified_paths() {
     for (name, make) in WORLDS {

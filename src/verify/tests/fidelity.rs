@@ -5,7 +5,9 @@ use super::reference::{Finding, findings};
 use super::world::{add, cut, cylinder, machine, section};
 use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::Process;
-use crate::machine::{BaseKind, Holding, HoldingMode, Shape, Table, Tool, ToolKind, Workholding};
+use crate::machine::{
+    BaseKind, Holding, HoldingMode, Place, Shape, Table, Tool, ToolKind, Workholding,
+};
 use crate::mesh::TriMesh;
 use crate::plan::{Job, Plan, Rules, Step};
 use crate::verify::{Rule, verify};
@@ -147,7 +149,11 @@ fn figures() -> impl Strategy<Value = Figures> {
 
 fn job(f: &Figures, [initial, target]: [BitGrid; 2], cutter: Tool, nozzle: Tool) -> Job {
     let frame = Frame { pitch: f.pitch, dims: initial.dims(), origin: DVec3::new(-1.3, 0.4, 0.0) };
-    let hold = Workholding { pedestal_mm: f.pedestal, table: Table::Box { x_mm: 8.0, y_mm: 5.0 } };
+    let hold = Workholding {
+        pedestal_mm: f.pedestal,
+        table: Table::Box { x_mm: 8.0, y_mm: 5.0 },
+        place: Place::default(),
+    };
     let machine = machine(hold, f.tilt);
     let mut rules = Rules::for_pitch(f.pitch, f.pitch);
     (rules.holding, rules.base) = (f.holding, f.base);

@@ -2,8 +2,8 @@
 
 use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::{
-    BaseKind, Chain, Control, Holding, Linear, Machine, Mount, Process, Rotary, Section, Shape,
-    Table, Tool, ToolKind, Workholding,
+    BaseKind, Chain, Control, Holding, Linear, Machine, Mount, Place, Process, Rotary, Section,
+    Shape, Table, Tool, ToolKind, Workholding,
 };
 use crate::mesh::TriMesh;
 use crate::plan::{Job, Origin, Plan, Rules, Step, StepKind};
@@ -62,7 +62,8 @@ pub fn nozzle(tip_radius: f64, body_z: f64) -> Tool {
 
 /// A tilting rotary table without end in C, of this tilt, and ± 10 m of travel.
 pub fn machine(workholding: Workholding, tilt_deg: f64) -> Machine {
-    let linear = Linear { limits_mm: [-1e4, 1e4], home_mm: 0.0 };
+    let linear =
+        Linear { limits_mm: [-1e4, 1e4], home_mm: 0.0, on: Mount::Head, axis: None, carried_by: 0 };
     let rotary = |letter, axis, limits_deg| Rotary {
         letter,
         on: Mount::Table,
@@ -134,7 +135,11 @@ pub fn case(initial: BitGrid, steps: Vec<Step>) -> (Job, Plan) {
         }
     }
     let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
-    let hold = Workholding { pedestal_mm: 30.0, table: Table::Disc { radius_mm: 20.0 } };
+    let hold = Workholding {
+        pedestal_mm: 30.0,
+        table: Table::Disc { radius_mm: 20.0 },
+        place: Place::default(),
+    };
     let nothing = || TriMesh::new(Vec::new(), Vec::new()).unwrap();
     let job = Job {
         frame,

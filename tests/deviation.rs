@@ -1,0 +1,33 @@
+//! What a whole plan's program leaves on the target's surface.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+/// The note of a plan with `--deviation`, as its figures.
+fn measured(pair: &str, resolution: &str) -> Vec<f64> {
+    let fixtures = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures");
+    let dir = tempfile::tempdir().unwrap();
+    let out = Command::new(env!("CARGO_BIN_EXE_hmplan"))
+        .args(["plan", "--setup", "keep", "--deviation", "--resolution", resolution, "-o"])
+        .arg(dir.path().join("out"))
+        .arg(fixtures.join(format!("{pair}_initial.obj")))
+        .arg(fixtures.join(format!("{pair}_target.obj")))
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert_eq!(out.status.code(), Some(0), "{text}{}", String::from_utf8_lossy(&out.stderr));
+    let note = text.lines().find(|l| l.contains("Deviation of the program")).expect("a note");
+    let words = note.split([' ', '(', ')', ';', ',']);
+    words.filter_map(|w| w.parse().ok()).collect()
+}
+
+#[test]
+fn machined_surfaces_are_not_gouged_and_hardly_left_thick() {
+    // Shares in per cent, depths in mm: gouged, 0.05, deepest, left, most, out of reach, beads.
+    let found = measured("cross", "0.3");
+    let [gouged, limit, deepest, left, most, _, outside] = found[..] else { panic!("{found:?}") };
+    assert_eq!((gouged, limit), (0.0, 0.05), "{found:?}");
+    assert!(deepest <= 0.05 && outside <= 0.5, "{found:?}");
+    // Nothing more than roughing's 0.2 mm should be left: on 0.8 % up to 0.24 mm is. No more than that.
+    assert!(left <= 1.0 && most <= 0.25, "{found:?}");
+}
