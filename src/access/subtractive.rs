@@ -14,10 +14,10 @@ pub struct Cut {
 
 /// Rounds in which only what is not reached is taken back. Cuts of tools smaller than the part end
 /// long before; an edge as wide as the part may come down a voxel a round, for hours.
-const PATIENT_ROUNDS: usize = 100;
+const PATIENT_ROUNDS: usize = 32;
 
 /// Rounds after which, beyond those, twice as much around it is taken back as well.
-const DOUBLING_ROUNDS: usize = 8;
+const DOUBLING_ROUNDS: usize = 4;
 
 /// The largest region R ⊆ `removable` that the tool removes from `state` along `direction`, each
 /// voxel accessible against the *output* state (HB Eq. 26, Alg. 6): R ⊆ A(state − R).
