@@ -23,7 +23,7 @@ const DOUBLING_ROUNDS: usize = 4;
 /// voxel accessible against the *output* state (HB Eq. 26, Alg. 6): R ⊆ A(state − R).
 ///
 /// Starts from everything removable and takes back what the rest blocks, until nothing changes.
-/// The map over-restricts, so the fixed point is a valid cut. After [`PATIENT_ROUNDS`] more and more
+/// The map over-restricts, so the fixed point is a valid cut. After 32 rounds more and more
 /// is taken back around it, and the fixed point need no longer be the largest.
 pub fn over_cut(
     frame: &Frame,
