@@ -34,6 +34,10 @@ const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// Share of the region that must be swept: a little more than the program's check asks for.
 const LEAST_SHARE: f64 = 0.985;
 
+/// Lumps this deep, as a share of the surface tolerance, are cut at the price of a gouge: the
+/// program's check finds those of the whole of it.
+const LUMP_SHARE: f64 = 0.9;
+
 /// How deep a cutter may go into a surface to get at what stands in a crevice, mm: less than what
 /// counts as a gouge, rounding of three decimals included.
 const NICK_MM: f64 = 0.045;
@@ -372,19 +376,23 @@ impl<'a> Stage<'a> {
         }
         // What the meshes leave no room for, the voxels may, which is what the plan was made on:
         // lumps deeper than the tolerance go as far as a nick lets the tool in; a block of which
-        // so much is left that the plan's volume is not cut goes at the price of a pitch's gouge. Deep
+        // so much is left that the plan's volume is not cut goes at the price of a pitch's gouge, and so does
+        // what is deeper than the rules allow. Deep
         // is meant to all sides: along a wall a cell's width that is left is none.
         let (_, share) = self.uncovered(half, half);
-        let mut plain = self.free.heights(self.work.tool, 0.0, 0.0);
-        let deep = self.work.job.rules.tolerance_mm / 2.0;
-        let slack = if share < LEAST_SHARE {
-            half
+        let plain = self.free.heights(self.work.tool, 0.0, 0.0).data;
+        let tolerance = self.work.job.rules.tolerance_mm;
+        if share < LEAST_SHARE {
+            self.rest_over(&plain, half, half);
         } else {
-            let nicked = |(z, e): (&mut f32, &f32)| *z = z.max(e - NICK_MM as f32);
-            plain.data.iter_mut().zip(&exact).for_each(nicked);
-            deep.max(half)
-        };
-        self.rest_over(&plain.data, slack, slack);
+            let nick = |(z, e): (&f32, &f32)| z.max(e - NICK_MM as f32);
+            let nicked: Vec<f32> = plain.iter().zip(&exact).map(nick).collect();
+            let deep = (tolerance / 2.0).max(half);
+            self.rest_over(&nicked, deep, deep);
+            // Nor may a lump be left that the program's check would find.
+            let deepest = (LUMP_SHARE * tolerance).max(half);
+            self.rest_over(&plain, deepest, deepest);
+        }
         self.uncovered(half, half).1
     }
 
