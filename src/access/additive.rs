@@ -65,12 +65,25 @@ impl CarrierTable {
         voxel: [usize; 3],
         dims: [usize; 3],
     ) -> impl Iterator<Item = [usize; 3]> + '_ {
-        self.direct.iter().filter_map(move |o| {
-            let at: [usize; 3] =
-                std::array::from_fn(|a| voxel[a].wrapping_add_signed(o[a] as isize));
-            (0..3).all(|a| at[a] < dims[a]).then_some(at)
-        })
+        self.direct.iter().filter_map(move |o| moved(voxel, *o, dims))
     }
+
+    /// The places within the grid at which two voxels would carry this one together.
+    pub fn chains_under(
+        &self,
+        voxel: [usize; 3],
+        dims: [usize; 3],
+    ) -> impl Iterator<Item = [[usize; 3]; 2]> + '_ {
+        self.chains
+            .iter()
+            .filter_map(move |(a, b)| Some([moved(voxel, *a, dims)?, moved(voxel, *b, dims)?]))
+    }
+}
+
+/// A voxel moved by an offset, where that stays within the grid.
+fn moved(voxel: [usize; 3], offset: [i64; 3], dims: [usize; 3]) -> Option<[usize; 3]> {
+    let at: [usize; 3] = std::array::from_fn(|a| voxel[a].wrapping_add_signed(offset[a] as isize));
+    (0..3).all(|a| at[a] < dims[a]).then_some(at)
 }
 
 /// The voxels of `candidates` that `solid` carries.
@@ -112,6 +125,22 @@ mod tests {
         {
             let (all, above) = slope(deg);
             assert_eq!(supported(&table, &all, &above) == above, carried, "{deg}°");
+        }
+    }
+
+    #[test]
+    fn a_chain_of_two_carries_where_no_single_voxel_may_be() {
+        let table = CarrierTable::new(Direction::Z, 50.0);
+        let (dims, v) = ([5, 5, 5], [2, 2, 3]);
+        let chains: Vec<[[usize; 3]; 2]> = table.chains_under(v, dims).collect();
+        assert!(!chains.is_empty());
+        for chain in chains {
+            let mut solid = BitGrid::new(dims);
+            assert!(table.under(v, dims).all(|u| u != chain[0]));
+            solid.set(chain[0], true);
+            assert!(!table.carries(&solid, v), "{chain:?}");
+            solid.set(chain[1], true);
+            assert!(table.carries(&solid, v), "{chain:?}");
         }
     }
 

@@ -5,7 +5,7 @@ use super::args::{self, Axis, PlanArgs, Planner, Setup, Unit, UnitArgs};
 use super::exit::Failure;
 use super::profiles;
 use hmplan::base::DMat3;
-use hmplan::machine::{BaseKind, HoldingMode, Machine, Tool, ToolKind};
+use hmplan::machine::{BaseKind, HoldingMode, Machine, Taken, Tool, ToolKind};
 use hmplan::plan::{Command, SearchCommand};
 use hmplan::planner::{hybrid, nullify, reman, setup};
 use std::path::{Path, PathBuf};
@@ -347,7 +347,7 @@ fn tools(machine: &Machine, names: &[String], kind: ToolKind) -> Result<Vec<Tool
     } else {
         // A tool that is asked for by name takes part.
         let named =
-            |n: &String| Ok(Tool { fine_grids_only: false, ..profiles::find_tool(machine, n)? });
+            |n: &String| Ok(Tool { taken: Taken::Always, ..profiles::find_tool(machine, n)? });
         names.iter().map(named).collect::<Result<_, Failure>>()?
     };
     if tools.is_empty() {

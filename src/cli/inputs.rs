@@ -4,7 +4,7 @@
 use super::config::PartConfig;
 use super::exit::Failure;
 use hmplan::base::{Aabb, Ctx, DAffine3, DVec3};
-use hmplan::machine::{Tool, VOXELS_PER_RADIUS};
+use hmplan::machine::{Taken, Tool, VOXELS_PER_RADIUS};
 use hmplan::mesh::{self, Health, ReadOptions, TriMesh};
 use hmplan::plan::{Input, Job};
 use hmplan::voxel::{BitGrid, Frame, blocks, parse_voxel_text, voxelise};
@@ -128,14 +128,14 @@ const DEFAULT_VOXELS: f64 = 8e6;
 const MARGIN: usize = 1;
 
 /// The pitch when none is asked for: about [`DEFAULT_VOXELS`] in the box of both parts, and never
-/// above a third of the smallest tool's radius, below which a tool is no longer round; tools for
-/// fine grids only do not count. Whole micrometres, rounded down.
+/// above a third of the smallest tool's radius, below which a tool is no longer round; only tools
+/// that always take part count. Whole micrometres, rounded down.
 pub fn default_pitch(bounds: &Aabb, tools: &[Tool]) -> f64 {
     let s = bounds.size();
     let by_count = (s.x * s.y * s.z / DEFAULT_VOXELS).cbrt();
     let pitch = tools
         .iter()
-        .filter(|t| !t.fine_grids_only)
+        .filter(|t| t.taken == Taken::Always)
         .map(|t| t.tip_radius() / VOXELS_PER_RADIUS)
         .fold(by_count, f64::min);
     ((pitch * 1000.0).floor() / 1000.0).max(0.001)

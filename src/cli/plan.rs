@@ -8,7 +8,7 @@ use super::output::{self, Destination};
 use super::pipeline;
 use super::{progress, summary};
 use hmplan::base::{Ctx, DAffine3, DVec3};
-use hmplan::machine::{Holding, Tool};
+use hmplan::machine::{Holding, Taken, Tool};
 use hmplan::mesh::{TriMesh, write_stl};
 use hmplan::plan::{
     Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Seconds, StepKind, Summary,
@@ -309,7 +309,12 @@ fn prepare(
         nozzles = vec![Tool::inv_nozzle(frame.pitch)];
     }
     for tools in [&mut cutters, &mut nozzles] {
-        tools.retain(|t| !t.fine_grids_only || t.is_round_at(frame.pitch));
+        tools.retain(|t| match t.taken {
+            Taken::Always => true,
+            Taken::FineGrids => t.is_round_at(frame.pitch),
+            // Planner search weighs all its tools against each other at every step.
+            Taken::LastResort => config.search.is_none(),
+        });
     }
     let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&nozzles));
     rules.holding = config.rules.holding;

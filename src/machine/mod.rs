@@ -51,6 +51,6 @@ pub use placement::Placement;
 pub use presets::INV_LENGTH_VOXELS;
 pub use process::{Control, Extruder, ExtruderPort, Pattern, Process, Seam, Writing};
 pub use profile::Machine;
-pub use tool::{InvalidTool, Section, Shape, Tool, ToolKind, VOXELS_PER_RADIUS};
+pub use tool::{InvalidTool, Section, Shape, Taken, Tool, ToolKind, VOXELS_PER_RADIUS};
 pub use travel::{NoPosture, Overtravel};
 pub use workholding::{BaseKind, Holding, HoldingMode, Table, Workholding};

@@ -1,6 +1,6 @@
 use super::file::ProfileError;
 use super::process::Process;
-use super::tool::{Section, Shape};
+use super::tool::{Section, Shape, Taken};
 use super::{Machine, Tool, ToolKind};
 
 macro_rules! presets {
@@ -108,7 +108,7 @@ impl Tool {
                 Section { shape: Shape::Platform { z: length }, active: false },
             ],
             process: voxel_process(pitch_mm),
-            fine_grids_only: false,
+            taken: Taken::Always,
         }
     }
 
@@ -125,7 +125,7 @@ impl Tool {
                 Section { shape: Shape::Platform { z: half }, active: false },
             ],
             process: voxel_process(pitch_mm),
-            fine_grids_only: false,
+            taken: Taken::Always,
         }
     }
 }

@@ -43,10 +43,29 @@ pub struct Tool {
     /// What it is run with.
     #[serde(default)]
     pub process: Process,
-    /// Takes part only where the voxels are at most a third of its tip's radius, and makes them no
-    /// finer: see [`Tool::is_round_at`].
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub fine_grids_only: bool,
+    #[serde(default, skip_serializing_if = "Taken::is_always")]
+    pub taken: Taken,
+}
+
+/// When a tool of a machine's table takes part. One that is asked for by name always does.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum Taken {
+    #[default]
+    Always,
+    /// Only where the voxels are at most a third of its tip's radius, and it makes them no finer:
+    /// see [`Tool::is_round_at`].
+    FineGrids,
+    /// Only for what all others leave, since it is slender and slow; it makes voxels no finer.
+    LastResort,
+}
+
+impl Taken {
+    fn is_always(&self) -> bool {
+        *self == Taken::Always
+    }
 }
 
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -76,7 +95,7 @@ impl Tool {
             kind,
             sections,
             process: Default::default(),
-            fine_grids_only: false,
+            taken: Taken::Always,
         }
     }
 
@@ -155,9 +174,9 @@ impl Tool {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// The longest of some tools in the order of a machine's table, those for fine grids aside.
+    /// The longest of some tools in the order of a machine's table, of those that always take part.
     pub fn longest(tools: &[Tool]) -> Option<&Tool> {
-        tools.iter().rfind(|t| !t.fine_grids_only).or(tools.last())
+        tools.iter().rfind(|t| t.taken == Taken::Always).or(tools.last())
     }
 
     /// Whether voxels of this pitch (mm) show the tip as round.
@@ -301,7 +320,7 @@ mod tests {
                 Section { shape: Shape::Platform { z: 43.0 }, active: false },
             ],
             process: Process::default(),
-            fine_grids_only: false,
+            taken: Taken::Always,
         }
     }
 

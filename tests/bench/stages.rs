@@ -38,7 +38,7 @@ fn job(name: &str) -> Job {
     let solid = |mesh| voxelise(mesh, &frame, &Ctx::quiet()).expect("no one cancels");
     let machine = Machine::builtin("generic-5axis").expect("a preset");
     let tools = |kind| -> Vec<Tool> {
-        let coarse = machine.tools_of(kind).into_iter().filter(|t| !t.fine_grids_only);
+        let coarse = machine.tools_of(kind).into_iter().filter(|t| t.taken == Taken::Always);
         coarse.cloned().collect()
     };
     let (cutters, nozzles) = (tools(ToolKind::Subtractive), tools(ToolKind::Additive));

@@ -72,6 +72,7 @@ pub fn cut_blocks(
         kept: coarse.most(&kept),
         least: (COARSE_GAIN_SHARE * unreached.count() as f64) as usize,
         fine_kept: kept,
+        cutters: setting.usual_cutters(),
         cutting: Cutting {
             steps: Vec::new(),
             state: setting.job.initial.clone(),
@@ -80,9 +81,45 @@ pub fn cut_blocks(
         },
     };
     cutter.cut(samples, ctx)?;
+    if cutter.cutters.len() < setting.cutters().len() && !cutter.cutting.unreached.is_empty() {
+        cutter.cutters = setting.cutters();
+        cutter.cut(samples, ctx)?;
+    }
     let mut cutting = cutter.cutting;
     cutting.inaccessible = cutting.unreached.count();
     Ok(cutting)
+}
+
+/// What of some voxels any cutter reaches along any direction while just `kept` stands.
+pub fn within_reach(
+    setting: &Setting,
+    kept: &BitGrid,
+    some: &BitGrid,
+    samples: usize,
+    ctx: &Ctx,
+) -> Result<BitGrid, Cancelled> {
+    let frame = &setting.job.frame;
+    let mut reached = BitGrid::new(some.dims());
+    for holding in 0..setting.holdings.len() {
+        let fixed = setting.fixed(holding, kept);
+        let scene = Scene::new(frame, kept, &fixed);
+        let mut directions = setting.axes(holding);
+        directions.extend(setting.sampled(holding, samples));
+        let left = some.minus(&reached);
+        let along: Vec<BitGrid> = directions
+            .par_iter()
+            .map(|d| {
+                ctx.check()?;
+                let mut any = BitGrid::new(some.dims());
+                for map in cutter_maps(&scene, &left, setting.cutters(), *d) {
+                    any.union_with(&reachable(&map, &left, frame));
+                }
+                Ok(any)
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        along.iter().for_each(|a| reached.union_with(a));
+    }
+    Ok(reached)
 }
 
 struct Cutter<'s, 'a> {
@@ -92,6 +129,8 @@ struct Cutter<'s, 'a> {
     /// What stands at the end, on the coarse grid and on the job's.
     kept: BitGrid,
     fine_kept: BitGrid,
+    /// Those in use: the usual ones, then all.
+    cutters: &'a [Tool],
     /// Voxels that a block chosen on the coarse grid removes at least.
     least: usize,
     cutting: Cutting,
@@ -163,7 +202,7 @@ impl<'a> Cutter<'_, 'a> {
     ) -> Result<Vec<Reach<'a>>, Cancelled> {
         let frame = &self.coarse.job.frame;
         let scene = Scene::new(frame, &self.kept, fixed);
-        let cutters = &self.setting.job.cutters;
+        let cutters = self.cutters;
         let reach: Vec<Vec<Reach<'a>>> = directions
             .par_iter()
             .map(|&direction| {
@@ -189,7 +228,7 @@ impl<'a> Cutter<'_, 'a> {
         let scene = Scene::new(frame, &self.fine_kept, fixed);
         let left = &self.cutting.unreached.minus(later);
         let wanted = self.coarse.any(left);
-        let cutters = &self.setting.job.cutters;
+        let cutters = self.cutters;
         // The bounds of one direction stand together, one a tool.
         let fine: Vec<Vec<Reach<'a>>> = coarse
             .par_chunks(cutters.len())

@@ -15,6 +15,7 @@ use crate::plan::Job;
 use crate::region::steady;
 use crate::voxel::{BitGrid, Connectivity, Frame, flood};
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// A shorter nozzle is taken when it prints this share of what the longest prints.
 const SHORTER_TOOL_SHARE: f64 = 0.97;
@@ -143,10 +144,25 @@ impl Layer<'_> {
         let mut solid = self.state.clone();
         let mut region = BitGrid::new(self.state.dims());
         let plate = if way.on_base() { base_layer(&job.frame) } else { None };
+        // Carried, but touching nothing by a face or an edge until a neighbour beside it is laid.
+        let mut waiting: BTreeSet<[usize; 3]> = BTreeSet::new();
         for (v, _) in voxels {
-            if plate == Some(v[2]) || table.carries(&solid, v) && joined(&solid, v) {
+            if plate != Some(v[2]) {
+                if !table.carries(&solid, v) {
+                    continue;
+                }
+                if !joined(&solid, v) {
+                    waiting.insert(v);
+                    continue;
+                }
+            }
+            let mut laid = vec![v];
+            while let Some(v) = laid.pop() {
                 solid.set(v, true);
                 region.set(v, true);
+                if !waiting.is_empty() {
+                    laid.extend(joints(v, solid.dims()).filter(|q| waiting.remove(q)));
+                }
             }
         }
         if plate.is_some() && job.rules.holding == HoldingMode::Refixture {
@@ -187,4 +203,14 @@ fn descending(counts: &[usize]) -> Vec<usize> {
 /// and what hangs by a corner is not connected.
 pub fn joined(solid: &BitGrid, v: [usize; 3]) -> bool {
     joints(v, solid.dims()).any(|q| solid.get(q))
+}
+
+/// The same, by a neighbour that lies no higher along a direction, and so is laid no later.
+pub fn joined_from_below(solid: &BitGrid, v: [usize; 3], up: Direction) -> bool {
+    let rise = |q: [usize; 3]| {
+        let step: [f64; 3] = std::array::from_fn(|a| q[a] as f64 - v[a] as f64);
+        up.dot(DVec3::from_array(step))
+    };
+    // Neighbours beside each other differ by rounding alone.
+    joints(v, solid.dims()).any(|q| solid.get(q) && rise(q) < 1e-6)
 }

@@ -32,8 +32,9 @@
 //! - On request (`rounds`) what a round of cuts and deposits left gets a round of its own: the
 //!   state it ends in is the initial part of the next, in which only what still stands of the real
 //!   one counts as reused. The paper names such rounds as future work.
-//! - Where something would be missing, the part is printed on supports, and these are cut at the end
-//!   (`supports`), if that leaves less. The paper does without supports, to save their material.
+//! - Where something would be left, raw stock under the planes stands until all is printed, the part
+//!   is printed on supports, and both are cut at the end, with slender tools if need be, if that
+//!   leaves less (`last_resort`). The paper does without supports, to save their material.
 //! - With a second holding, planes that leave the part on its base are looked at beside all others:
 //!   deposits from straight above may then begin on the bare base.
 //! - A cut that would free a piece it does not reach leaves a bridge to it (`bridges`).
@@ -50,6 +51,7 @@ mod coarse;
 mod compared;
 mod cutting;
 mod global;
+mod last_resort;
 mod laying;
 mod local;
 #[cfg(test)]
@@ -75,6 +77,7 @@ use clip::Clip;
 use coarse::Coarse;
 use compared::{bottom_up, top_down};
 use global::{choose, global_route, most_promising};
+use last_resort::last_resort;
 use locals::{improved, is_complete, local_route};
 use round::{Attempt, deep, volumes};
 use setting::Setting;
@@ -291,43 +294,31 @@ fn one_round(
     clock.lap("set_cover");
     let start = Start { setting, coarse: &coarse, preferred, bad_bases };
     let mut run = Run { start: &start, normals: &normals, options, report, clock, ctx };
-    let best = match options.search {
+    let attempts = match options.search {
         Search::Mcts | Search::Random => searched(&mut run, &first)?,
-        Search::TopDown => top_down(&mut run, planes)?,
-        Search::BottomUp => bottom_up(&mut run)?,
+        Search::TopDown => vec![top_down(&mut run, planes)?],
+        Search::BottomUp => vec![bottom_up(&mut run)?],
     };
-    let best = supported(&mut run, best)?;
+    let mut best: Option<Attempt> = None;
+    for attempt in attempts {
+        if best.as_ref().is_some_and(|b| is_complete(b, job)) {
+            break;
+        }
+        let made = last_resort(&mut run, attempt)?;
+        if best.as_ref().is_none_or(|b| made.rank(job) < b.rank(job)) {
+            best = Some(made);
+        }
+    }
+    let best = best.ok_or(PlanError::Cancelled)?;
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
     Ok((best, report))
 }
 
-/// The same on supports where that leaves less.
-fn supported(run: &mut Run, best: Attempt) -> Result<Attempt, PlanError> {
-    let Run { start, options, report, clock, ctx, .. } = run;
-    if !options.supports || best.deficit.is_empty() || ctx.out_of_time() {
-        return Ok(best);
-    }
-    let job = start.setting.job;
-    let made = start.on_supports(&best, Direction::Z, options, ctx)?;
-    clock.lap("blocks");
-    made.tell("supports", 0);
-    // A support in a pocket that is open only below stands for good.
-    if made.rank(job) >= best.rank(job) || made.left() >= best.left() {
-        return Ok(best);
-    }
-    let of_it = made.steps.iter().filter(|s| s.kind == StepKind::Additive);
-    let printed: usize = of_it.map(|s| s.region.minus(&job.target).count()).sum();
-    report.notes.push(format!(
-        "{:.1} mm³ of supports are printed and cut away again, since without them more is left.",
-        printed as f64 * job.frame.voxel_volume()
-    ));
-    Ok(made)
-}
-
-/// Global planes, and local ones where those gave up much or left something.
-fn searched(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError> {
+/// Attempts, the best first: with global planes, and with local ones where those gave up much or
+/// left something.
+fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
     let job = run.start.setting.job;
     let normals = run.normals;
     let upright: Vec<Direction> = normals.iter().copied().filter(|n| n.vec().z >= 0.0).collect();
@@ -355,11 +346,11 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Attempt, PlanError> {
         true => local_route(run, &global)?,
         false => None,
     };
-    match local {
-        Some(local) if local.rank(job) < global.rank(job) => Ok(local),
-        _ if enough => Ok(global),
-        _ => improved(run, global),
-    }
+    Ok(match local {
+        Some(local) if local.rank(job) < global.rank(job) => vec![local, global],
+        _ if enough => vec![global],
+        _ => vec![improved(run, global)?],
+    })
 }
 
 fn check(job: &Job) -> Result<(), PlanError> {

@@ -90,22 +90,31 @@ pub fn print_on_supports(
     setting: &Setting,
     coarse: &Coarse,
     wanted: &Wanted,
-    direction: Direction,
+    on: OnSupports,
     ctx: &Ctx,
 ) -> Result<Printing, Cancelled> {
     let Some(mut press) = Press::new(setting, coarse, wanted) else {
         return Ok(wanted.unprinted());
     };
-    if let Some(way) = press.way_along(direction) {
+    if let Some(way) = press.way_along(on.direction) {
         let fixed = press.fixed();
         let left = wanted.added.clone();
-        let block = lay_on_supports(&press.fine(&left, &fixed), way);
+        let block = lay_on_supports(&press.fine(&left, &fixed), way, on.avoided);
         if block.gain >= press.least {
             press.take(block, left, fixed);
         }
     }
     press.print_among(wanted.added, ctx)?;
     Ok(press.printing)
+}
+
+/// Which supports may be printed.
+#[derive(Clone, Copy)]
+pub struct OnSupports<'o> {
+    /// Along which they, and what stands on them, are printed.
+    pub direction: Direction,
+    /// Where none may be.
+    pub avoided: &'o BitGrid,
 }
 
 impl Wanted<'_> {
@@ -139,7 +148,7 @@ impl<'s, 'a> Press<'s, 'a> {
     /// None without a nozzle. Shorter nozzles reach less: they are asked once the direction is
     /// known.
     fn new(setting: &'s Setting<'a>, coarse: &'s Coarse, wanted: &'s Wanted<'s>) -> Option<Self> {
-        let (longest, shorter) = setting.job.nozzles.split_last()?;
+        let (longest, shorter) = setting.nozzles().split_last()?;
         let sampled: Vec<Direction> =
             (0..setting.holdings.len()).flat_map(|h| setting.sampled(h, wanted.samples)).collect();
         let core = coarse.most(wanted.core);

@@ -74,7 +74,7 @@ pub fn open_below(
         .into_par_iter()
         .map(|d| {
             ctx.check()?;
-            let maps = cutter_maps(&scene, &wanted, &setting.job.cutters, d);
+            let maps = cutter_maps(&scene, &wanted, setting.cutters(), d);
             Ok(maps.iter().map(|m| reachable(m, &wanted, frame)).collect())
         })
         .collect::<Result<_, Cancelled>>()?;

@@ -3,7 +3,7 @@
 use super::clip::Clip;
 use super::coarse::Coarse;
 use super::cutting::cut_blocks;
-use super::printing::{Printing, Share, Wanted, print_blocks, print_on_supports};
+use super::printing::{Printing, Share, Wanted, print_blocks};
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Start};
@@ -118,56 +118,6 @@ pub enum Mending {
 }
 
 impl Start<'_> {
-    /// The same cuts, then deposits on supports along a direction, cuts of these and of what else
-    /// stands outside the target, and deposits of what is still missing.
-    pub fn on_supports(
-        &self,
-        plain: &Attempt,
-        direction: Direction,
-        options: &Options,
-        ctx: &Ctx,
-    ) -> Result<Attempt, PlanError> {
-        let (setting, job) = (self.setting, self.setting.job);
-        let reused = &plain.volumes.reused;
-        let skin = setting.skin(reused);
-        let (_, added) = deep(setting, &plain.volumes);
-        let added = added.minus(&plain.stock);
-        let preferred = along(&plain.clips, &self.preferred);
-        let wanted = Wanted {
-            state: &plain.stock,
-            added: &added,
-            core: &added.minus(&skin),
-            preferred: &preferred,
-            samples: options.directions,
-        };
-        let printing = print_on_supports(setting, self.coarse, &wanted, direction, ctx)?;
-        let next_job = Job { initial: printing.state, ..job.clone() };
-        let next = setting.of_next_round(&next_job, setting.old_of(reused));
-        let removed = next_job.initial.minus(&job.target);
-        let deep = removed.minus(&skin);
-        let cutting = cut_blocks(&next, self.coarse, &removed, &deep, options.directions, ctx)?;
-        let still = Wanted { state: &cutting.state, added: &printing.unreached, ..wanted };
-        let last = print_blocks(&next, self.coarse, &still, &[], ctx)?;
-        let mut steps = plain.steps[..plain.cuts].to_vec();
-        let deposits = printing.steps.len();
-        steps.extend(printing.steps);
-        let numbered = |first: usize| move |s: Step| Step { block: first + s.block, ..s };
-        steps.extend(cutting.steps.into_iter().map(numbered(plain.cuts)));
-        steps.extend(last.steps.into_iter().map(numbered(deposits)));
-        let excess = cutting.unreached;
-        let below = open_below(setting, self.coarse, reused, &excess, ctx)?;
-        Ok(Attempt {
-            clips: plain.clips.clone(),
-            volumes: plain.volumes.clone(),
-            steps,
-            cuts: plain.cuts,
-            stock: plain.stock.clone(),
-            excess,
-            deficit: last.unreached.minus(&skin),
-            below,
-        })
-    }
-
     /// Makes the blocks under some planes on the job's own grid, printing again where a little is
     /// left.
     pub fn attempt(
@@ -217,13 +167,13 @@ pub fn attempt(
 }
 
 /// Directions in which blocks are tried first: the planes' normals before the others.
-fn along(clips: &[Clip], preferred: &[Direction]) -> Vec<Direction> {
+pub fn along(clips: &[Clip], preferred: &[Direction]) -> Vec<Direction> {
     clips.iter().map(|c| c.plane.normal).chain(preferred.iter().copied()).collect()
 }
 
 /// Prints, the largest block first; while that leaves a little, once more with the space of some
 /// later block left free from the beginning, and so on with the best of these.
-fn printed(
+pub fn printed(
     setting: &Setting,
     coarse: &Coarse,
     wanted: &Wanted,

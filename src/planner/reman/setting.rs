@@ -1,7 +1,7 @@
 //! What every stage asks of the job: holdings, their fixed obstacles, directions.
 
 use crate::base::{DVec3, Direction, fibonacci_sphere};
-use crate::machine::{BaseKind, Holding, HoldingMode};
+use crate::machine::{BaseKind, Holding, HoldingMode, Taken, Tool};
 use crate::plan::{Job, Step, StepKind};
 use crate::voxel::{BitGrid, Frame, distance_within};
 
@@ -15,6 +15,8 @@ pub struct Setting<'a> {
     /// In a later round of cuts and deposits, what stands of the initial part: skin lies near that
     /// alone. None in the first, where all that is kept is old.
     old: Option<BitGrid>,
+    /// Whether tools of the last resort take part.
+    last_resort: bool,
 }
 
 impl<'a> Setting<'a> {
@@ -27,14 +29,44 @@ impl<'a> Setting<'a> {
                 &job.frame,
             ),
         };
-        Setting { job, holdings: holdings(job), first_fixed, old: None }
+        let holdings = holdings(job);
+        Setting { job, holdings, first_fixed, old: None, last_resort: false }
     }
 
     /// The setting of a further round: `job` starts from what the rounds before left, `old` is what
     /// they kept of the initial part. The pedestal stays as wide as it was.
     pub fn of_next_round(&self, job: &'a Job, old: BitGrid) -> Self {
         let first_fixed = self.first_fixed.clone();
-        Setting { job, holdings: holdings(job), first_fixed, old: Some(old) }
+        let (holdings, last_resort) = (holdings(job), self.last_resort);
+        Setting { job, holdings, first_fixed, old: Some(old), last_resort }
+    }
+
+    /// The same with all tools of the job.
+    pub fn with_last_resort(&self) -> Setting<'a> {
+        let (job, holdings) = (self.job, self.holdings.clone());
+        let (first_fixed, old) = (self.first_fixed.clone(), self.old.clone());
+        Setting { job, holdings, first_fixed, old, last_resort: true }
+    }
+
+    /// The cutters that take part, shortest first.
+    pub fn cutters(&self) -> &'a [Tool] {
+        if self.last_resort { &self.job.cutters } else { self.usual_cutters() }
+    }
+
+    /// Those of them that are no last resort.
+    pub fn usual_cutters(&self) -> &'a [Tool] {
+        usual(&self.job.cutters)
+    }
+
+    /// Whether the job has tools that only the last resort takes.
+    pub fn has_last_resort(&self) -> bool {
+        let Job { cutters, nozzles, .. } = self.job;
+        usual(cutters).len() < cutters.len() || usual(nozzles).len() < nozzles.len()
+    }
+
+    /// The nozzles that take part, shortest first.
+    pub fn nozzles(&self) -> &'a [Tool] {
+        if self.last_resort { &self.job.nozzles } else { usual(&self.job.nozzles) }
     }
 
     /// What of a set stands of the initial part.
@@ -110,6 +142,14 @@ impl<'a> Setting<'a> {
     }
 }
 
+/// The tools that are no last resort, which stands last in a table; all where there are no others.
+fn usual(tools: &[Tool]) -> &[Tool] {
+    match tools.partition_point(|t| t.taken != Taken::LastResort) {
+        0 => tools,
+        others => &tools[..others],
+    }
+}
+
 /// As clamped and, where the rules allow it, standing on its top.
 fn holdings(job: &Job) -> Vec<Holding> {
     let mut holdings = vec![Holding::AS_CLAMPED];
@@ -123,4 +163,31 @@ fn holdings(job: &Job) -> Vec<Holding> {
 fn turned_over(solid: &BitGrid, frame: &Frame) -> Holding {
     let top = solid.extent().map_or(0.0, |(_, hi)| frame.center(hi).z + frame.pitch / 2.0);
     Holding { up: Direction::NEG_Z, height_mm: -top }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::reman::local_tests::job_of;
+
+    #[test]
+    fn tools_of_the_last_resort_take_part_only_there() {
+        let frame = Frame { pitch: 1.0, dims: [8, 8, 8], origin: DVec3::ZERO };
+        let part = BitGrid::from_fn(frame.dims, |v| v[2] < 4);
+        let job = job_of(frame, part.clone(), part.clone(), |_| true);
+        let names = |tools: &[Tool]| -> Vec<String> {
+            let resort = tools.iter().filter(|t| t.taken == Taken::LastResort);
+            resort.map(|t| t.name.clone()).collect()
+        };
+        let usual = Setting::new(&job);
+        assert!(usual.has_last_resort());
+        assert!(names(usual.cutters()).is_empty() && names(usual.nozzles()).is_empty());
+        let all = usual.with_last_resort();
+        assert_eq!(names(all.cutters()), ["ball-1.4x24"]);
+        assert_eq!(names(all.nozzles()), ["needle-nozzle"]);
+        assert_eq!(all.usual_cutters(), usual.cutters());
+        // A job that has no others has these.
+        let only = job_of(frame, part.clone(), part, |t| t.taken == Taken::LastResort);
+        assert_eq!(names(Setting::new(&only).cutters()), ["ball-1.4x24"]);
+    }
 }

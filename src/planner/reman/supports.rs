@@ -11,7 +11,7 @@
 //! Not guaranteed: that a cutter gets at every support. What it leaves is residual, so a plan with
 //! supports is taken only where it leaves less than the plan without.
 
-use super::laying::{Block, Layer, Way, base_layer};
+use super::laying::{Block, Layer, Way, base_layer, joined_from_below};
 use crate::access::CarrierTable;
 use crate::base::DVec3;
 use crate::voxel::{BitGrid, distance_within};
@@ -48,20 +48,43 @@ impl<'l> FromAbove<'l> {
     }
 }
 
-/// All that one way lays of what is left, and the supports that this needs.
-pub fn lay_on_supports<'a>(layer: &Layer, way: Way<'a>) -> Block<'a> {
-    let columns = columns(layer, way);
+/// All that one way lays of what is left, and the supports that this needs, none of them where they
+/// are to be avoided.
+pub fn lay_on_supports<'a>(layer: &Layer, way: Way<'a>, avoided: &BitGrid) -> Block<'a> {
+    let columns = columns(layer, way, avoided);
     if columns.is_empty() {
         return layer.lay(way);
     }
     let frame = &layer.job.frame;
     let aside = distance_within(&columns, LEAN_MM / frame.pitch);
     let base = base_layer(frame).unwrap_or(0);
-    let free = over(&aside.minus(layer.state).minus(&layer.job.target), base);
+    let free = over(&aside.minus(layer.state).minus(&layer.job.target).minus(avoided), base);
     let all = layer.left.or(&columns).or(&free);
     let laid = Layer { left: &all, ..*layer }.lay(way).region;
     let useful = useful(layer, way, &laid);
     Layer { left: &useful, ..*layer }.lay(way)
+}
+
+/// Whether a voxel is carried and joined to what carries it: a chain of two carries across a corner,
+/// which joins nothing.
+fn stands(table: &CarrierTable, solid: &BitGrid, v: [usize; 3], way: Way) -> bool {
+    table.carries(solid, v) && joined_from_below(solid, v, way.direction)
+}
+
+/// What is to be added so that a voxel is carried: the straightest single voxel that may be, else
+/// what a chain of two lacks; nothing where neither may be.
+fn carriers(
+    table: &CarrierTable,
+    solid: &BitGrid,
+    v: [usize; 3],
+    may_be: impl Fn(&[usize; 3]) -> bool,
+) -> Vec<[usize; 3]> {
+    if let Some(one) = table.under(v, solid.dims()).find(&may_be) {
+        return vec![one];
+    }
+    let stands = |u: &[usize; 3]| solid.get(*u) || may_be(u);
+    let chain = table.chains_under(v, solid.dims()).find(|c| c.iter().all(stands));
+    chain.into_iter().flatten().filter(|u| !solid.get(*u)).collect()
 }
 
 /// What of a set lies no lower than a layer.
@@ -76,7 +99,7 @@ fn over(set: &BitGrid, layer: usize) -> BitGrid {
 }
 
 /// Carriers for everything that is left, were all of it laid.
-fn columns(layer: &Layer, way: Way) -> BitGrid {
+fn columns(layer: &Layer, way: Way, avoided: &BitGrid) -> BitGrid {
     let job = layer.job;
     let table = CarrierTable::new(way.direction, job.rules.overhang_deg);
     let plate = base_layer(&job.frame);
@@ -86,11 +109,13 @@ fn columns(layer: &Layer, way: Way) -> BitGrid {
     let mut queue = FromAbove::new(layer, way);
     layer.left.iter_ones().for_each(|v| queue.push(v));
     while let Some(v) = queue.pop() {
-        if on_plate(v) || table.carries(&solid, v) {
+        if on_plate(v) || stands(&table, &solid, v, way) {
             continue;
         }
-        let free = |v: &[usize; 3]| plate.is_none_or(|p| v[2] >= p) && !job.target.get(*v);
-        if let Some(below) = table.under(v, solid.dims()).find(free) {
+        let free = |v: &[usize; 3]| {
+            plate.is_none_or(|p| v[2] >= p) && !job.target.get(*v) && !avoided.get(*v)
+        };
+        for below in carriers(&table, &solid, v, free) {
             solid.set(below, true);
             added.set(below, true);
             queue.push(below);
@@ -109,11 +134,11 @@ fn useful(layer: &Layer, way: Way, laid: &BitGrid) -> BitGrid {
     let mut queue = FromAbove::new(layer, way);
     kept.iter_ones().for_each(|v| queue.push(v));
     while let Some(v) = queue.pop() {
-        if plate == Some(v[2]) || table.carries(&solid, v) {
+        if plate == Some(v[2]) || stands(&table, &solid, v, way) {
             continue;
         }
-        let stands = |v: &[usize; 3]| laid.get(*v);
-        if let Some(below) = table.under(v, solid.dims()).find(stands) {
+        let is_laid = |v: &[usize; 3]| laid.get(*v);
+        for below in carriers(&table, &solid, v, is_laid) {
             solid.set(below, true);
             kept.set(below, true);
             queue.push(below);

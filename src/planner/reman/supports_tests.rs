@@ -7,7 +7,7 @@ use super::supports::lay_on_supports;
 use super::{Options, plan};
 use crate::access::CarrierTable;
 use crate::base::{Ctx, DVec3, Direction};
-use crate::machine::{HoldingMode, Tool};
+use crate::machine::{HoldingMode, Taken, Tool};
 use crate::plan::{Job, StepKind};
 use crate::verify::verify;
 use crate::voxel::{BitGrid, Frame};
@@ -24,7 +24,7 @@ fn job() -> Job {
         let roof = (6..38).contains(&x) && (4..20).contains(&y) && (16..20).contains(&z);
         plate([x, y, z]) || post && z < 20 || roof
     });
-    job_of(frame, initial, target, |t| !t.fine_grids_only)
+    job_of(frame, initial, target, |t| t.taken == Taken::Always)
 }
 
 /// A way straight from above.
@@ -53,7 +53,7 @@ fn a_roof_is_printed_whole_on_supports_that_reach_down_to_the_part() {
     let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
     let plain = layer.lay(upright(&job));
     assert!(plain.gain < left.count(), "the roof overhangs");
-    let block = lay_on_supports(&layer, upright(&job));
+    let block = lay_on_supports(&layer, upright(&job), &BitGrid::new(DIMS));
     assert!(left.is_subset_of(&block.region));
     assert!(is_carried(&job, &job.initial, &block.region));
     let supports = block.region.minus(&left);
@@ -74,9 +74,47 @@ fn supports_lean_past_what_the_nozzle_does_not_get_at() {
     let left = job.target.minus(&job.initial);
     let fixed = vec![setting.fixed(0, &job.initial)];
     let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
-    let block = lay_on_supports(&layer, upright(&job));
+    let block = lay_on_supports(&layer, upright(&job), &BitGrid::new(DIMS));
     assert!(left.is_subset_of(&block.region), "{} left", left.minus(&block.region).count());
     assert!(is_carried(&job, &job.initial, &block.region));
+}
+
+#[test]
+fn supports_stand_past_what_is_to_be_avoided() {
+    let job = job();
+    let setting = Setting::new(&job);
+    let left = job.target.minus(&job.initial);
+    let fixed = vec![setting.fixed(0, &job.initial)];
+    let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
+    let before = lay_on_supports(&layer, upright(&job), &BitGrid::new(DIMS)).region.minus(&left);
+    // A slab across the roof's side, in which supports stood; the roof leans over it.
+    let avoided = BitGrid::from_fn(DIMS, |[x, _, z]| (8..10).contains(&x) && z >= 4);
+    assert!(before.intersects(&avoided));
+    let block = lay_on_supports(&layer, upright(&job), &avoided);
+    assert!(!block.region.minus(&left).intersects(&avoided));
+    assert!(left.is_subset_of(&block.region), "{} left", left.minus(&block.region).count());
+    assert!(is_carried(&job, &job.initial, &block.region));
+}
+
+#[test]
+fn a_voxel_carried_across_a_corner_is_laid_once_its_neighbour_is() {
+    let mut job = job();
+    // Two steps of stairs that touch at a corner alone, and a voxel beside the upper one.
+    let corner = [20, 10, 5];
+    job.initial = BitGrid::from_fn(DIMS, |[_, _, z]| z < 4);
+    job.initial.set([19, 9, 4], true);
+    let beside = [21, 10, 5];
+    job.initial.set([21, 10, 4], true);
+    let setting = Setting::new(&job);
+    let fixed = vec![setting.fixed(0, &job.initial)];
+    let laid = |left: &[[usize; 3]]| {
+        let left = BitGrid::from_fn(DIMS, |v| left.contains(&v));
+        let layer =
+            Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
+        layer.lay(upright(&job)).gain
+    };
+    assert_eq!(laid(&[beside]), 1);
+    assert_eq!(laid(&[corner, beside]), 2);
 }
 
 #[test]

@@ -69,7 +69,7 @@ fn tool(kind: ToolKind) -> impl Strategy<Value = Tool> {
                 kind,
                 sections,
                 process: Process::default(),
-                fine_grids_only: false,
+                taken: Taken::Always,
             }
         },
     )

@@ -41,7 +41,7 @@ pub fn cutter() -> Tool {
             section(cylinder(10.0, 20.0, 4.0), false),
         ],
         process: Process::default(),
-        fine_grids_only: false,
+        taken: Taken::Always,
     }
 }
 
@@ -56,7 +56,7 @@ pub fn nozzle(tip_radius: f64, body_z: f64) -> Tool {
             section(Shape::Platform { z: 10.0 }, false),
         ],
         process: Process::default(),
-        fine_grids_only: false,
+        taken: Taken::Always,
     }
 }
 

@@ -1,0 +1,181 @@
+//! What planes alone leave: tools of the last resort, and supports for what nothing carries.
+//!
+//! Method. The planes stay. What is to be removed below them can stand until everything is printed:
+//! raw stock carries deposits as supports do, so a pocket under a dome needs no columns, and the
+//! first block begins on the face that a plane leaves. Then come deposits straight up, on supports
+//! where neither part nor stock carries them (`supports`), cuts of all that stands outside the
+//! target, and deposits of what is still missing. Where the cutters leave some of the supports, all
+//! is tried again with none that they would not reach. If this way leaves something, the stock is
+//! cut before anything is printed, once without supports and once with them.
+//!
+//! Guarantees: those of cuts and deposits. A plan is made this way only if it ranks higher and
+//! leaves less. Not guaranteed: that nothing is left.
+
+use super::cutting::{cut_blocks, within_reach};
+use super::printing::{OnSupports, Wanted, print_blocks, print_on_supports};
+use super::reasons::open_below;
+use super::round::{Attempt, Mending, along, deep, printed};
+use super::{Options, Run, Start};
+use crate::base::{Ctx, Direction};
+use crate::plan::{Job, Step, StepKind};
+use crate::planner::PlanError;
+use crate::voxel::{BitGrid, distance_within};
+
+/// How often all is tried again without the supports that the cutters left: each time costs as much
+/// as the first, and the second leaves few.
+const AVOIDING_ROUNDS: usize = 2;
+
+/// How far, in voxels, from what the cutters left of a support others are looked at: carriers of the
+/// same voxel and what carries them.
+const NEAR_STUCK: f64 = 4.0;
+
+/// What stands when the first deposit is made, and the cuts that leave it.
+struct Stock {
+    cuts: Vec<Step>,
+    state: BitGrid,
+}
+
+/// The best of an attempt and what the last resort makes of its planes.
+pub fn last_resort(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> {
+    let Run { start, options, report, clock, ctx, .. } = run;
+    let setting = start.setting.with_last_resort();
+    let job = setting.job;
+    let start = Start {
+        setting: &setting,
+        coarse: start.coarse,
+        preferred: start.preferred.clone(),
+        bad_bases: start.bad_bases.clone(),
+    };
+    let mut better: Option<Attempt> = None;
+    for (waits, supports) in [(true, true), (false, false), (false, true)] {
+        if better.as_ref().unwrap_or(&plain).residual() == 0 || ctx.out_of_time() {
+            break;
+        }
+        let unlike_before = if supports { options.supports } else { setting.has_last_resort() };
+        if !unlike_before || waits && plain.clips.is_empty() {
+            continue;
+        }
+        let stock = match waits {
+            true => start.stock_under_planes(&plain, options, ctx)?,
+            false => finished_stock(&plain),
+        };
+        let mut avoided = BitGrid::new(job.frame.dims);
+        for round in 0..=AVOIDING_ROUNDS {
+            let on = supports.then_some(OnSupports { direction: Direction::Z, avoided: &avoided });
+            let made = start.finished(&plain, &stock, on, options, ctx)?;
+            clock.lap("blocks");
+            tracing::debug!(waits, supports, "last resort");
+            made.tell("last resort", round);
+            let stuck = made.excess.and(&made.printed_aside(job));
+            let best = better.as_ref().unwrap_or(&plain);
+            // A support in a pocket that is open only below stands for good.
+            let is_better = made.rank(job) < best.rank(job) && made.left() < best.left();
+            let is_done = stuck.is_empty() || made.left() > best.left() || ctx.out_of_time();
+            if is_better {
+                better = Some(made);
+            }
+            if is_done {
+                break;
+            }
+            let near = distance_within(&stuck, NEAR_STUCK).minus(&job.target);
+            let open = within_reach(&setting, &job.target, &near, options.directions, ctx)?;
+            avoided.union_with(&near.minus(&open));
+        }
+    }
+    let Some(better) = better else { return Ok(plain) };
+    let aside = better.printed_aside(job).count();
+    if aside > 0 {
+        report.notes.push(format!(
+            "{:.1} mm³ of supports are printed and cut away again, since without them more is left.",
+            aside as f64 * job.frame.voxel_volume()
+        ));
+    }
+    Ok(better)
+}
+
+impl Attempt {
+    /// Deposits outside the target.
+    fn printed_aside(&self, job: &Job) -> BitGrid {
+        let mut printed = BitGrid::new(job.frame.dims);
+        let additive = self.steps.iter().filter(|s| s.kind == StepKind::Additive);
+        additive.for_each(|s| printed.union_with(&s.region));
+        printed.minus(&job.target)
+    }
+}
+
+/// All cuts of an attempt are made.
+fn finished_stock(plain: &Attempt) -> Stock {
+    Stock { cuts: plain.steps[..plain.cuts].to_vec(), state: plain.stock.clone() }
+}
+
+impl Start<'_> {
+    /// What is removed above the planes is cut, the rest stands.
+    fn stock_under_planes(
+        &self,
+        plain: &Attempt,
+        options: &Options,
+        ctx: &Ctx,
+    ) -> Result<Stock, PlanError> {
+        let (setting, frame) = (self.setting, &self.setting.job.frame);
+        let removed = &plain.volumes.removed;
+        let mut first = BitGrid::new(removed.dims());
+        plain.clips.iter().for_each(|c| first.union_with(&c.clipped(removed, frame)));
+        let deep = first.minus(&setting.skin(&plain.volumes.reused));
+        let cutting = cut_blocks(setting, self.coarse, &first, &deep, options.directions, ctx)?;
+        Ok(Stock { cuts: cutting.steps, state: cutting.state })
+    }
+
+    /// From a stock: deposits on supports, none of which stands where they are to be avoided, cuts
+    /// of what stands outside the target, and deposits of what is still missing.
+    fn finished(
+        &self,
+        plain: &Attempt,
+        stock: &Stock,
+        on: Option<OnSupports>,
+        options: &Options,
+        ctx: &Ctx,
+    ) -> Result<Attempt, PlanError> {
+        let (setting, job) = (self.setting, self.setting.job);
+        let reused = &plain.volumes.reused;
+        let skin = setting.skin(reused);
+        let (_, added) = deep(setting, &plain.volumes);
+        let added = added.minus(&stock.state);
+        let preferred = along(&plain.clips, &self.preferred);
+        let wanted = Wanted {
+            state: &stock.state,
+            added: &added,
+            core: &added.minus(&skin),
+            preferred: &preferred,
+            samples: options.directions,
+        };
+        let printing = match on {
+            Some(on) => print_on_supports(setting, self.coarse, &wanted, on, ctx)?,
+            None => printed(setting, self.coarse, &wanted, Mending::Some, ctx)?,
+        };
+        let next_job = Job { initial: printing.state, ..job.clone() };
+        let next = setting.of_next_round(&next_job, setting.old_of(reused));
+        let removed = next_job.initial.minus(&job.target);
+        let deep = removed.minus(&skin);
+        let cutting = cut_blocks(&next, self.coarse, &removed, &deep, options.directions, ctx)?;
+        let still = Wanted { state: &cutting.state, added: &printing.unreached, ..wanted };
+        let last = print_blocks(&next, self.coarse, &still, &[], ctx)?;
+        let mut steps = stock.cuts.clone();
+        let deposits = printing.steps.len();
+        steps.extend(printing.steps);
+        let numbered = |first: usize| move |s: Step| Step { block: first + s.block, ..s };
+        steps.extend(cutting.steps.into_iter().map(numbered(stock.cuts.len())));
+        steps.extend(last.steps.into_iter().map(numbered(deposits)));
+        let excess = cutting.unreached;
+        let below = open_below(setting, self.coarse, reused, &excess, ctx)?;
+        Ok(Attempt {
+            clips: plain.clips.clone(),
+            volumes: plain.volumes.clone(),
+            steps,
+            cuts: stock.cuts.len(),
+            stock: stock.state.clone(),
+            excess,
+            deficit: last.unreached.minus(&skin),
+            below,
+        })
+    }
+}
