@@ -1,7 +1,7 @@
 //! What replies do to the job.
 
 use super::link::{Heard, Link, Tag};
-use super::{ASKS, Core, Drain, Greeting, IDLE_REPORTS, Phase, stop};
+use super::{ASK_STATE, ASKS, Core, Drain, Greeting, IDLE_REPORTS, Phase, stop};
 use super::{Action, Device, Note};
 use crate::stream::outcome::Ending;
 use crate::stream::reply::Lines;
@@ -56,8 +56,10 @@ impl Core {
                 return self.fail(Ending::Halted { device, what: text.clone() }, out);
             }
             Reply::Status(status) => return self.status(status, out),
-            Reply::Receive(bytes) => {
+            Reply::Build { blocks, bytes } => {
                 let dialect = self.setup.control;
+                // The larger figure keeps more of the path.
+                self.vouch.blocks = self.vouch.blocks.max(blocks.unwrap_or(0));
                 if let Some(p) = self.peer(device) {
                     p.link.receive_buffer(dialect, *bytes);
                     p.told[1] = true;
@@ -68,6 +70,11 @@ impl Core {
                 let oldest = self.peer(device).and_then(|p| p.link.oldest());
                 let number = oldest.map_or(0, |t| self.number(t));
                 out.push(Action::Note(Note::Waits { number, why: "the program pauses" }));
+            }
+            Reply::Parser(state) => {
+                if let Some(p) = self.peer(device) {
+                    p.parser = Some(state.clone());
+                }
             }
             Reply::Position(at) => self.position(device, at.clone(), out),
             Reply::Info(text) => {
@@ -132,6 +139,9 @@ impl Core {
                 self.fail(Ending::GaveUp { device, number }, out);
             }
             Heard::Garbled(what) => self.fail(Ending::Garbled { device, what }, out),
+            Heard::Refused { tag: Tag::Modes, .. } if !self.vouch.is_on() => {
+                self.write(device, Tag::Modes, "", out);
+            }
             Heard::Refused { tag: Tag::Clear, .. } => self.answered(device, Tag::Clear, out),
             Heard::Refused { tag, code, text } => {
                 let dialect = self.peers[device.index()].as_ref().map(|p| p.dialect);
@@ -148,6 +158,7 @@ impl Core {
             Tag::Line(i) => {
                 // A named answer, or one found by asking again, stands for those before it.
                 self.confirmed = self.confirmed.max(i + 1);
+                self.vouch.confirmed(self.confirmed);
                 self.told_to_go_on = false;
                 if self.waits {
                     self.waits = false;
@@ -179,9 +190,10 @@ impl Core {
                 } else if self.setup.check {
                     self.write(device, Tag::Check, "$C", out);
                 } else {
-                    self.ready(device);
+                    self.ask_modes(device, out);
                 }
             }
+            Tag::Modes => self.modes(device, out),
             Tag::Ask | Tag::Check => self.ready(device),
             Tag::Drain { .. } => {}
         }
@@ -193,6 +205,48 @@ impl Core {
             p.told = [p.told[0] || p.told[1], false];
         }
         self.write(device, Tag::Ask, "$I", out);
+    }
+
+    /// Asks for the parser's state before the first line, unless the device repeats every line.
+    fn ask_modes(&mut self, device: Device, out: &mut Vec<Action>) {
+        let Some(p) = self.peer(device) else { return };
+        if matches!(&p.link, Link::Counted(c) if c.repeats()) {
+            return self.ready(device);
+        }
+        p.greeting = Greeting::Modes;
+        self.write(device, Tag::Modes, ASK_STATE, out);
+    }
+
+    /// The parser's state was told, or was not.
+    fn modes(&mut self, device: Device, out: &mut Vec<Action>) {
+        let Some(p) = self.peer(device) else { return };
+        let told = p.parser.take();
+        if p.greeting == Greeting::Modes {
+            if let Some(state) = told {
+                self.vouch.begin(&state);
+            }
+            return self.ready(device);
+        }
+        if let Some((number, what)) = self.vouch.told(told.as_deref()) {
+            self.fail(Ending::Departed { lines: [number; 2], what }, out);
+        }
+    }
+
+    /// Holds a status report against the path.
+    fn vouch_for(&mut self, status: &Status, out: &mut Vec<Action>) {
+        let Some(at) = self.work_position(status) else { return };
+        let over = self.drain == Drain::Clean && self.all_idle();
+        let wrong = match status.state {
+            State::Idle if over => {
+                let line = self.setup.script.number(self.next.saturating_sub(1));
+                self.vouch.rest(&at).map(|what| ([line; 2], what))
+            }
+            State::Idle | State::Run | State::Hold(_) => self.vouch.place(&at, self.confirmed),
+            _ => None,
+        };
+        if let Some((lines, what)) = wrong {
+            self.fail(Ending::Departed { lines, what }, out);
+        }
     }
 
     fn ready(&mut self, device: Device) {
@@ -252,7 +306,10 @@ impl Core {
         }
         match self.phase {
             Phase::Greeting => self.status_at_start(status.state, out),
-            Phase::Running | Phase::Finishing { .. } => self.status_in_job(status.state, out),
+            Phase::Running | Phase::Finishing { .. } => {
+                self.status_in_job(status.state, out);
+                self.vouch_for(status, out);
+            }
             _ => {}
         }
     }

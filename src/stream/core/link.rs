@@ -19,6 +19,8 @@ pub(super) enum Tag {
     Ask,
     /// Switches the check mode.
     Check,
+    /// Asks for the parser's state.
+    Modes,
     /// Waits for motion; the last of its lines.
     Drain { last: bool },
 }
@@ -59,6 +61,8 @@ pub(super) struct Counted {
     echoes: bool,
     /// How many of `sent` were repeated.
     echoed: usize,
+    /// Answers, and those that repeated their line.
+    answers: [u64; 2],
 }
 
 impl Counted {
@@ -71,7 +75,13 @@ impl Counted {
             sent: VecDeque::new(),
             echoes: false,
             echoed: 0,
+            answers: [0; 2],
         }
+    }
+
+    /// Whether every line is repeated, so that a damaged one cannot go unseen.
+    pub fn repeats(&self) -> bool {
+        self.echoes || (self.answers[0] > 0 && self.answers[0] == self.answers[1])
     }
 
     fn room(&self, bytes: usize) -> bool {
@@ -102,6 +112,8 @@ impl Counted {
         if unread {
             return Heard::Garbled(format!("'{}' was answered without being repeated", sent.text));
         }
+        self.answers[0] += 1;
+        self.answers[1] += u64::from(text.is_some());
         match text.filter(|t| squeezed(t) != squeezed(&sent.text)) {
             Some(other) => Heard::Garbled(format!("'{}' arrived as '{other}'", sent.text)),
             None => Heard::Answered(sent.tag),

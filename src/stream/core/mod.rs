@@ -10,15 +10,18 @@ mod hear;
 mod link;
 mod numbered;
 mod stop;
+mod vouch;
 mod watch;
 
 pub use event::{Action, Command, Device, EndPoint, Event, Limits, Micros, Note, SECOND, Setup};
 
-use super::outcome::{Ending, Outcome, Position};
+use super::outcome::{Delivery, Ending, Means, Outcome, Position};
 use super::reply::Lines;
 use super::{Class, Dialect, State, Status};
 use link::{Link, Tag};
 use stop::Stop;
+pub use vouch::Checks;
+use vouch::{REST_TOLERANCE, Vouch};
 
 /// One device as the core sees it.
 struct Peer {
@@ -32,6 +35,8 @@ struct Peer {
     /// Whether it told its receive buffer when asked before, and since it was asked last.
     told: [bool; 2],
     greeting: Greeting,
+    /// The parser's state, told and not yet looked at.
+    parser: Option<String>,
 }
 
 /// How far the greeting is.
@@ -43,6 +48,8 @@ enum Greeting {
     State,
     /// Waits for the answers; counts the questions asked.
     Asking(u8),
+    /// Waits for the parser's state.
+    Modes,
     Ready,
 }
 
@@ -93,6 +100,9 @@ pub struct Core {
     waits: bool,
     /// The person said to go on; the answer is now due.
     told_to_go_on: bool,
+    vouch: Vouch,
+    /// A line behind which the parser's state is still to be asked.
+    question: Option<u32>,
     outcome: Option<Outcome>,
 }
 
@@ -101,6 +111,9 @@ const IDLE_REPORTS: u8 = 2;
 
 /// How often the build information is asked for: a damaged figure is then seen as the larger.
 const ASKS: u8 = 2;
+
+/// Asks for the parser's state: modes, feed, speed and tool as they are behind the line before.
+const ASK_STATE: &str = "$G";
 
 impl Core {
     /// A job that begins when its ports have just been opened.
@@ -114,9 +127,12 @@ impl Core {
             hung_up: false,
             told: [false; 2],
             greeting: Greeting::Banner,
+            parser: None,
         };
         Core {
             peers: [Some(peer(setup.control)), setup.extruder.map(peer)],
+            vouch: Vouch::new(setup.control.planner_blocks()),
+            question: None,
             setup,
             phase: Phase::Greeting,
             now: 0,
@@ -266,6 +282,9 @@ impl Core {
                 return;
             }
             self.wait_all = false;
+            if !self.put_question(out) {
+                return;
+            }
             let Some(line) = self.setup.script.line(self.next).copied() else {
                 if self.drained(out) {
                     self.phase = Phase::Finishing { idle: 0 };
@@ -288,11 +307,29 @@ impl Core {
             self.write(device, Tag::Line(self.next), script.text(self.next), out);
             if device == Device::Control {
                 self.drain = Drain::Dirty;
+                let asks = self.vouch.wrote(self.next, line.number, script.text(self.next), line.class);
+                self.question = asks.then_some(line.number);
             }
             self.wait_all = line.class.wait_after();
             self.next += 1;
             out.push(Action::Note(Note::Written(self.next)));
         }
+    }
+
+    /// Asks for the parser's state where that is due; false when it does not fit yet.
+    fn put_question(&mut self, out: &mut Vec<Action>) -> bool {
+        let Some(number) = self.question else { return true };
+        // grblHAL forgets a refusal with the next of these questions, and would run what is behind
+        // it: so nothing may be unanswered.
+        let alone = self.setup.control == Dialect::GrblHal;
+        let fits = |p: &mut Peer| p.link.room(ASK_STATE.len()) && (!alone || p.link.is_idle());
+        if !self.peer(Device::Control).is_some_and(fits) {
+            return false;
+        }
+        self.write(Device::Control, Tag::Modes, ASK_STATE, out);
+        self.vouch.ask(number);
+        self.question = None;
+        true
     }
 
     /// Whether every motion is over; asks for it when it is not known.
@@ -325,6 +362,7 @@ impl Core {
 
     fn settle(&mut self, out: &mut Vec<Action>) {
         self.drain = Drain::Clean;
+        self.vouch.settled();
         if self.settled != self.next {
             self.settled = self.next;
             out.push(Action::Note(Note::Settled(self.settled)));
@@ -359,7 +397,7 @@ impl Core {
                 *self.work_position(status)?.get(e.axis)?
             };
             // Some are set to report inches.
-            let off = [1.0, 25.4].iter().all(|u| (found * u - e.at).abs() > END_TOLERANCE);
+            let off = [1.0, 25.4].iter().all(|u| (found * u - e.at).abs() > REST_TOLERANCE);
             off.then(|| format!("{} is at {found:.3}, the program ends at {:.3}", e.letter, e.at))
         })
     }
@@ -405,6 +443,9 @@ impl Core {
             }
             Command::Override(byte) => {
                 if grbl && (0x90..=0xA1).contains(&byte) {
+                    if byte >= 0xA0 {
+                        self.vouch.coolant_switched();
+                    }
                     out.push(Action::Realtime(Device::Control, byte));
                 }
             }
@@ -426,6 +467,7 @@ impl Core {
             Tag::Clear => "".into(),
             Tag::Ask => "$I".into(),
             Tag::Check => "$C".into(),
+            Tag::Modes => ASK_STATE.into(),
             Tag::Drain { .. } => self.setup.control.drain().join(" "),
         }
     }
@@ -468,11 +510,23 @@ impl Core {
             in_flight,
             position,
             not_off,
+            delivery: self.delivery(),
         });
         self.phase = Phase::Over;
     }
-}
 
-/// How far from its end a program's machine may rest, mm or degrees: a step and the last digit of
-/// a report. Smaller, and rounding counts as a fault; larger, and more damage goes unseen.
-const END_TOLERANCE: f64 = 0.02;
+    /// What vouches for the lines that were written.
+    fn delivery(&self) -> Delivery {
+        let means = |p: &Peer| match &p.link {
+            Link::Numbered(_) => Means::Checksum,
+            Link::Counted(c) if c.repeats() => Means::Repeated,
+            Link::Counted(_) => Means::Unproven,
+        };
+        let sent = self.setup.script.extrudes();
+        Delivery {
+            control: self.peers[0].as_ref().map_or(Means::Unproven, means),
+            extruder: self.peers[1].as_ref().filter(|_| sent).map(means),
+            checks: self.vouch.checks,
+        }
+    }
+}
