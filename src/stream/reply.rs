@@ -65,7 +65,10 @@ pub enum Reply {
     Status(Box<Status>),
     /// From the build information: blocks of the planner, where told, and bytes of the receive
     /// buffer.
-    Build { blocks: Option<usize>, bytes: usize },
+    Build {
+        blocks: Option<usize>,
+        bytes: usize,
+    },
     /// The parser's state, word by word: the answer to `$G`.
     Parser(String),
     /// The controller repeats what it read.
@@ -162,7 +165,8 @@ fn grbl(line: &str) -> Reply {
         if let Some(opt) = body.strip_prefix("OPT:") {
             let figure = |i| opt.split(',').nth(i).and_then(|b| b.parse().ok());
             let blocks = figure(1);
-            return figure(2).map_or(Reply::Info(line.into()), |bytes| Reply::Build { blocks, bytes });
+            return figure(2)
+                .map_or(Reply::Info(line.into()), |bytes| Reply::Build { blocks, bytes });
         }
         if let Some(state) = body.strip_prefix("GC:") {
             return Reply::Parser(state.into());

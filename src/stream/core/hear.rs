@@ -3,9 +3,10 @@
 use super::link::{Heard, Link, Tag};
 use super::{ASK_STATE, ASKS, Core, Drain, Greeting, IDLE_REPORTS, Phase, stop};
 use super::{Action, Device, Note};
-use crate::stream::outcome::Ending;
+use crate::gcode::read_block;
+use crate::stream::outcome::{Ending, Means};
 use crate::stream::reply::Lines;
-use crate::stream::{Dialect, Reply, State, Status};
+use crate::stream::{Class, Dialect, Reply, State, Status};
 
 impl Core {
     /// Bytes from a device.
@@ -72,8 +73,11 @@ impl Core {
                 out.push(Action::Note(Note::Waits { number, why: "the program pauses" }));
             }
             Reply::Parser(state) => {
-                if let Some(p) = self.peer(device) {
-                    p.parser = Some(state.clone());
+                let Some(p) = self.peer(device) else { return };
+                p.parser = Some(state.clone());
+                // Everything before the question must have been answered.
+                if p.link.oldest() != Some(Tag::Modes) {
+                    return self.out_of_step(device, out);
                 }
             }
             Reply::Position(at) => self.position(device, at.clone(), out),
@@ -159,6 +163,11 @@ impl Core {
                 // A named answer, or one found by asking again, stands for those before it.
                 self.confirmed = self.confirmed.max(i + 1);
                 self.vouch.confirmed(self.confirmed);
+                if self.passed_a_pause(device, i) {
+                    let number = self.setup.script.number(i);
+                    let what = "it went on where it should have paused".into();
+                    return self.fail(Ending::Departed { lines: [number; 2], what }, out);
+                }
                 self.told_to_go_on = false;
                 if self.waits {
                     self.waits = false;
@@ -199,6 +208,18 @@ impl Core {
         }
     }
 
+    /// Whether an M0 was answered that neither held the machine nor waited for a person.
+    fn passed_a_pause(&self, device: Device, i: usize) -> bool {
+        let pauses = self.setup.script.line(i).is_some_and(|l| l.class == Class::Pause);
+        let m0 = || {
+            let words = read_block(self.setup.script.text(i)).unwrap_or_default();
+            words.iter().any(|w| w.letter == 'M' && w.value == 0.0)
+        };
+        let by_hand = self.told_to_go_on || self.waits;
+        let grbl = device == Device::Control && self.setup.control.is_grbl();
+        pauses && grbl && !self.setup.check && !by_hand && m0()
+    }
+
     fn ask(&mut self, device: Device, n: u8, out: &mut Vec<Action>) {
         if let Some(p) = self.peer(device) {
             p.greeting = Greeting::Asking(n);
@@ -210,7 +231,7 @@ impl Core {
     /// Asks for the parser's state before the first line, unless the device repeats every line.
     fn ask_modes(&mut self, device: Device, out: &mut Vec<Action>) {
         let Some(p) = self.peer(device) else { return };
-        if matches!(&p.link, Link::Counted(c) if c.repeats()) {
+        if p.link.means() != Means::Unproven {
             return self.ready(device);
         }
         p.greeting = Greeting::Modes;
@@ -220,16 +241,24 @@ impl Core {
     /// The parser's state was told, or was not.
     fn modes(&mut self, device: Device, out: &mut Vec<Action>) {
         let Some(p) = self.peer(device) else { return };
-        let told = p.parser.take();
-        if p.greeting == Greeting::Modes {
+        let (told, greets) = (p.parser.take(), p.greeting == Greeting::Modes);
+        if greets {
             if let Some(state) = told {
-                self.vouch.begin(&state);
+                let rests = self.status.as_ref().filter(|s| s.state == State::Idle);
+                let at = rests.and_then(|s| self.work_position(s));
+                self.vouch.begin(&state, at.as_deref());
             }
             return self.ready(device);
         }
-        if let Some((number, what)) = self.vouch.told(told.as_deref()) {
+        let Some(told) = told else { return self.out_of_step(device, out) };
+        if let Some((number, what)) = self.vouch.told(&told) {
             self.fail(Ending::Departed { lines: [number; 2], what }, out);
         }
+    }
+
+    fn out_of_step(&mut self, device: Device, out: &mut Vec<Action>) {
+        let what = "answers are out of step with the lines".into();
+        self.fail(Ending::Garbled { device, what }, out);
     }
 
     /// Holds a status report against the path.
@@ -240,6 +269,10 @@ impl Core {
             State::Idle if over => {
                 let line = self.setup.script.number(self.next.saturating_sub(1));
                 self.vouch.rest(&at).map(|what| ([line; 2], what))
+            }
+            State::Run if over => {
+                let line = self.setup.script.number(self.next.saturating_sub(1));
+                Some(([line; 2], "it moves although every motion should be over".into()))
             }
             State::Idle | State::Run | State::Hold(_) => self.vouch.place(&at, self.confirmed),
             _ => None,

@@ -1,7 +1,7 @@
 //! One device's line: which lines were written and not answered, and whether another fits.
 
 use super::numbered::Numbered;
-use crate::stream::{Dialect, Reply};
+use crate::stream::{Dialect, Means, Reply};
 use std::collections::VecDeque;
 
 /// Bytes of the receive buffer that are left free: a realtime byte or a doubled byte must not be
@@ -80,7 +80,7 @@ impl Counted {
     }
 
     /// Whether every line is repeated, so that a damaged one cannot go unseen.
-    pub fn repeats(&self) -> bool {
+    fn repeats(&self) -> bool {
         self.echoes || (self.answers[0] > 0 && self.answers[0] == self.answers[1])
     }
 
@@ -211,6 +211,15 @@ impl Link {
         match self {
             Link::Counted(c) => (c.window, c.used),
             Link::Numbered(_) => (None, 0),
+        }
+    }
+
+    /// What vouches for the lines written so far.
+    pub fn means(&self) -> Means {
+        match self {
+            Link::Numbered(_) => Means::Checksum,
+            Link::Counted(c) if c.repeats() => Means::Repeated,
+            Link::Counted(_) => Means::Unproven,
         }
     }
 

@@ -245,6 +245,9 @@ impl Core {
             }
         }
         if self.peers.iter().flatten().all(|p| p.greeting == Greeting::Ready) {
+            if let Some(device) = self.unverifiable() {
+                return self.fail(Ending::Unverifiable { device }, out);
+            }
             self.phase = Phase::Running;
             out.push(Action::Note(Note::Began));
             self.pump(out);
@@ -254,12 +257,18 @@ impl Core {
     /// The banner came, or none will: the first question.
     fn begin_talk(&mut self, device: Device, out: &mut Vec<Action>) {
         let now = self.now;
+        let off = self.setup.module_off.first().filter(|_| self.setup.verified).cloned();
         let Some(p) = self.peer(device) else { return };
         p.heard = now;
         p.link.clear();
-        match p.dialect {
-            Dialect::Plain => p.greeting = Greeting::Ready,
-            d if d.is_numbered() => {
+        match (p.dialect, off) {
+            // Whether it repeats its codes shows with the first: one that switches off does no harm.
+            (Dialect::Plain, Some(off)) => {
+                p.greeting = Greeting::Asking(1);
+                self.write(device, Tag::Ask, &off, out);
+            }
+            (Dialect::Plain, None) => p.greeting = Greeting::Ready,
+            (d, _) if d.is_numbered() => {
                 p.greeting = Greeting::Asking(1);
                 self.write(device, Tag::Ask, "", out);
             }
@@ -307,7 +316,8 @@ impl Core {
             self.write(device, Tag::Line(self.next), script.text(self.next), out);
             if device == Device::Control {
                 self.drain = Drain::Dirty;
-                let asks = self.vouch.wrote(self.next, line.number, script.text(self.next), line.class);
+                let asks =
+                    self.vouch.wrote(self.next, line.number, script.text(self.next), line.class);
                 self.question = asks.then_some(line.number);
             }
             self.wait_all = line.class.wait_after();
@@ -494,13 +504,16 @@ impl Core {
         ending: Ending,
         position: Position,
         not_off: Vec<String>,
-        _out: &mut Vec<Action>,
+        out: &mut Vec<Action>,
     ) {
         let script = &self.setup.script;
         let in_flight = match &self.phase {
             Phase::Stopping(s) => s.in_flight(),
             _ => self.in_flight(),
         };
+        if ending == Ending::Done && !self.setup.check {
+            out.push(Action::Note(Note::Delivery(self.delivery())));
+        }
         self.outcome = Some(Outcome {
             ending,
             confirmed: self.confirmed,
@@ -515,13 +528,19 @@ impl Core {
         self.phase = Phase::Over;
     }
 
+    /// A device that cannot give the verified run that was asked for.
+    fn unverifiable(&self) -> Option<Device> {
+        let delivery = self.delivery();
+        match (self.setup.verified, delivery.control, delivery.extruder) {
+            (true, Means::Unproven, _) => Some(Device::Control),
+            (true, _, Some(Means::Unproven)) => Some(Device::Extruder),
+            _ => None,
+        }
+    }
+
     /// What vouches for the lines that were written.
     fn delivery(&self) -> Delivery {
-        let means = |p: &Peer| match &p.link {
-            Link::Numbered(_) => Means::Checksum,
-            Link::Counted(c) if c.repeats() => Means::Repeated,
-            Link::Counted(_) => Means::Unproven,
-        };
+        let means = |p: &Peer| p.link.means();
         let sent = self.setup.script.extrudes();
         Delivery {
             control: self.peers[0].as_ref().map_or(Means::Unproven, means),

@@ -55,10 +55,29 @@ pub struct Checks {
     pub states: usize,
 }
 
-/// Where one line leads; None for coordinates that are not known.
+/// A coordinate that a line begins or ends at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum At {
+    Mm(f64),
+    /// Where the machine was before the first line, in the units of its reports.
+    Start(f64),
+    Lost,
+}
+
+impl At {
+    fn mm(self, unit: f64) -> Option<f64> {
+        match self {
+            At::Mm(v) => Some(v),
+            At::Start(v) => Some(v * unit),
+            At::Lost => None,
+        }
+    }
+}
+
+/// Where one line leads.
 #[derive(Clone, Debug)]
 enum Course {
-    Straight([Option<f64>; 3], [Option<f64>; 3]),
+    Straight([At; 3], [At; 3]),
     /// Somewhere in a ball: the disc of an arc.
     Within(Point, f64),
     Anywhere,
@@ -100,6 +119,8 @@ pub(super) struct Vouch {
     /// So is Z.
     z_known: bool,
     path: VecDeque<Piece>,
+    /// Where the machine was before the first line, axes that it has not left since.
+    start: [Option<f64>; 3],
     wanted: VecDeque<Wanted>,
     /// Units that reports may be in, as far as they have told.
     units: [bool; 2],
@@ -117,6 +138,7 @@ impl Vouch {
             same_frame: true,
             z_known: true,
             path: VecDeque::new(),
+            start: [None; 3],
             wanted: VecDeque::new(),
             units: [true; 2],
             blocks,
@@ -128,8 +150,9 @@ impl Vouch {
         self.on
     }
 
-    /// The parser's state before the first line.
-    pub fn begin(&mut self, parser: &str) {
+    /// The parser's state before the first line, and where the machine rests.
+    pub fn begin(&mut self, parser: &str, at: Option<&[f64]>) {
+        self.start = std::array::from_fn(|i| at?.get(i).copied());
         let m = &mut self.modal;
         for word in parser.split_whitespace() {
             let code = word.get(1..).and_then(|d| d.parse().ok());
@@ -139,6 +162,9 @@ impl Vouch {
                 (Some("G"), Some(units @ 20..=21)) => m.inches = units == 20,
                 (Some("G"), Some(distance @ 90..=91)) => m.relative = distance == 91,
                 (Some("G"), Some(feed @ 93..=94)) => m.inverse_time = feed == 93,
+                (Some("G"), Some(0)) => m.way = Way::Rapid,
+                (Some("G"), Some(1)) => m.way = Way::Feed,
+                (Some("G"), Some(way @ 2..=3)) => m.way = Way::Arc { clockwise: way == 2 },
                 (Some("M"), Some(3)) => m.spindle = Spindle::Clockwise,
                 (Some("M"), Some(4)) => m.spindle = Spindle::Counter,
                 (Some("M"), Some(7)) => m.mist = true,
@@ -166,11 +192,16 @@ impl Vouch {
             self.lost(line, number);
             return false;
         }
-        let before = self.modal.clone();
+        let (before, from) = (self.modal.clone(), self.now_at());
         for w in &words {
             self.look_at(w);
         }
         let effect = self.modal.apply(&words, &RATES);
+        for (i, letter) in ['X', 'Y', 'Z'].into_iter().enumerate() {
+            if words.iter().any(|w| w.letter == letter) {
+                self.start[i] = None;
+            }
+        }
         self.same_frame &= self.modal.system == before.system && !self.shifts(&words);
         self.z_known &= self.modal.length.is_none();
         match class {
@@ -187,8 +218,12 @@ impl Vouch {
             _ if matches!(self.modal.way, Way::Probe | Way::Cycle) && effect.moves => {
                 self.lost(line, number);
             }
+            // To a stored position.
+            _ if words.iter().any(|w| w.letter == 'G' && matches!(w.value, 28.0 | 30.0)) => {
+                self.lost(line, number);
+            }
             _ if effect.moves => {
-                let course = self.course(&words, &before);
+                let course = self.course(&words, from);
                 self.path.push_back(Piece { line, number, course });
             }
             _ => {}
@@ -225,17 +260,28 @@ impl Vouch {
 
     /// Where the machine goes is not the program's to say.
     fn lost(&mut self, line: usize, number: u32) {
-        self.modal.work = [None; 6];
+        (self.modal.work, self.start) = ([None; 6], [None; 3]);
         self.path.push_back(Piece { line, number, course: Course::Anywhere });
     }
 
-    fn course(&self, words: &[Word], before: &Modal) -> Course {
-        let three = |v: [Option<f64>; 6]| [v[0], v[1], v[2]];
-        let (from, to) = (three(before.work), three(self.modal.work));
+    /// Where the lines so far lead.
+    fn now_at(&self) -> [At; 3] {
+        std::array::from_fn(|i| match (self.modal.work[i], self.start[i]) {
+            (Some(v), _) => At::Mm(v),
+            (None, Some(v)) => At::Start(v),
+            (None, None) => At::Lost,
+        })
+    }
+
+    fn course(&self, words: &[Word], from: [At; 3]) -> Course {
+        let to = self.now_at();
         if !matches!(self.modal.way, Way::Arc { .. }) {
             return Course::Straight(from, to);
         }
-        let all = |v: [Option<f64>; 3]| Some([v[0]?, v[1]?, v[2]?]);
+        let all = |v: [At; 3]| {
+            let v = v.map(|at| if let At::Mm(v) = at { Some(v) } else { None });
+            Some([v[0]?, v[1]?, v[2]?])
+        };
         let (Some(a), Some(b)) = (all(from), all(to)) else { return Course::Anywhere };
         let unit = if self.modal.inches { 25.4 } else { 1.0 };
         let word = |l| words.iter().find(|w| w.letter == l).map(|w| w.value * unit);
@@ -258,12 +304,9 @@ impl Vouch {
     }
 
     /// The answer: the line behind which it was asked, and what is not as it should be.
-    pub fn told(&mut self, parser: Option<&str>) -> Option<(u32, String)> {
+    pub fn told(&mut self, parser: &str) -> Option<(u32, String)> {
         let wanted = self.wanted.pop_front()?;
-        let wrong = match parser {
-            Some(parser) => wanted.differs(parser),
-            None => Some("its parser's state was not told".into()),
-        };
+        let wrong = wanted.differs(parser);
         self.checks.states += usize::from(wrong.is_none());
         wrong.map(|what| (wanted.number, what))
     }
@@ -278,10 +321,11 @@ impl Vouch {
         let answered = self.path.partition_point(|p| p.line < confirmed);
         let counts = |p: &Piece| match p.course {
             // A motion to where the machine is takes no room in the planner.
-            Course::Straight([Some(a), Some(b), Some(c)], [Some(x), Some(y), Some(z)]) => {
-                [a, b, c] != [x, y, z]
+            Course::Straight(from, to) => {
+                let moves = |(a, b): (&At, &At)| matches!((a, b), (At::Mm(a), At::Mm(b)) if a != b);
+                from.iter().zip(&to).any(moves)
             }
-            _ => false,
+            Course::Within(..) | Course::Anywhere => false,
         };
         let mut ahead = 0;
         for i in (0..answered).rev() {
@@ -314,7 +358,7 @@ impl Vouch {
         }
         let off = |unit: f64| {
             let p = [x, y, z].map(|v| v * unit);
-            let all = self.path.iter().map(|piece| piece.off(p, self.z_known));
+            let all = self.path.iter().map(|piece| piece.off(p, unit, self.z_known));
             all.fold(f64::INFINITY, f64::min)
         };
         self.checks.places += 1;
@@ -328,13 +372,10 @@ impl Vouch {
         if !self.on || !self.same_frame || at.len() < 3 {
             return None;
         }
-        let ends = self.modal.work;
-        if ends[..3] == [None; 3] {
-            return None;
-        }
+        let ends = self.now_at();
         let axes = if self.z_known { 3 } else { 2 };
         let off = |unit: f64| {
-            let each = (0..axes).filter_map(|i| Some((at[i] * unit - ends[i]?).abs()));
+            let each = (0..axes).filter_map(|i| Some((at[i] * unit - ends[i].mm(unit)?).abs()));
             each.fold(0.0, f64::max)
         };
         self.checks.rests += 1;
@@ -358,7 +399,7 @@ impl Vouch {
 
 impl Piece {
     /// Distance of a point; axes that are not known do not count.
-    fn off(&self, p: Point, z_known: bool) -> f64 {
+    fn off(&self, p: Point, unit: f64, z_known: bool) -> f64 {
         match self.course {
             Course::Anywhere => 0.0,
             Course::Within(centre, reach) => {
@@ -371,7 +412,7 @@ impl Piece {
             Course::Straight(from, to) => {
                 let (mut a, mut b, mut p) = (p, p, p);
                 for i in 0..3 {
-                    match (from[i], to[i]) {
+                    match (from[i].mm(unit), to[i].mm(unit)) {
                         (Some(f), Some(t)) if i < 2 || z_known => (a[i], b[i]) = (f, t),
                         _ => (a[i], b[i], p[i]) = (0.0, 0.0, 0.0),
                     }
@@ -420,9 +461,8 @@ impl Wanted {
         if !self.outputs.modes {
             return None;
         }
-        let figure = |letter: char| {
-            told.iter().find_map(|w| w.strip_prefix(letter)?.parse::<f64>().ok())
-        };
+        let figure =
+            |letter: char| told.iter().find_map(|w| w.strip_prefix(letter)?.parse::<f64>().ok());
         let feed = m.feed.filter(|_| !m.inverse_time);
         let is = |told: f64, want: f64| {
             UNITS.iter().any(|u| (told * u - want).abs() <= RATE_TOLERANCE * u)

@@ -501,12 +501,14 @@ impl Grbl {
     fn needs(&self, words: &[Word], moves: bool) -> Result<(), u32> {
         let has = |letter| words.iter().any(|w| w.letter == letter);
         let code = |wanted: &[u32]| {
-            let mut codes = words.iter().filter(|w| w.letter == 'G').filter_map(|w| tenths(w.value));
+            let mut codes =
+                words.iter().filter(|w| w.letter == 'G').filter_map(|w| tenths(w.value));
             codes.any(|c| wanted.contains(&c))
         };
         let any = |letters: &str| words.iter().any(|w| letters.contains(w.letter));
         let (dwell, stores, lengths) = (code(&[40]), code(&[100]), code(&[430, 431, 432]));
-        let other = code(&[730, 760, 810, 820, 830, 850, 860, 890, 330]) || code(&[382, 383, 384, 385]);
+        let other =
+            code(&[730, 760, 810, 820, 830, 850, 860, 890, 330]) || code(&[382, 383, 384, 385]);
         let names_way = code(&[0, 10, 20, 30]);
         let arc = match names_way {
             true => code(&[20, 30]),
