@@ -13,7 +13,8 @@
 //! Not guaranteed: a wrong coordinate is seen only when a report falls on its detour and the detour is
 //! larger than the tolerance. Dwells, probing, canned cycles and stored offsets show in neither.
 //! Nothing is compared behind a change of the work coordinate system or of what scales it, and Z
-//! not behind a tool length offset: reports do not say with which offset they were made.
+//! not behind a tool length offset: reports do not say with which offset they were made. A tool
+//! counts once it was changed for.
 //!
 //! Lengths mm, feeds mm/min.
 
@@ -188,7 +189,8 @@ impl Vouch {
         let words = read_block(text).unwrap_or_default();
         if text.starts_with('$') {
             // Homing, or a setting: steps, units of reports, limits.
-            (self.same_frame, self.outputs.modes) = (text == "$H", text == "$H");
+            self.same_frame &= text == "$H";
+            self.outputs.modes &= text == "$H";
             self.lost(line, number);
             return false;
         }
@@ -467,16 +469,17 @@ impl Wanted {
         let is = |told: f64, want: f64| {
             UNITS.iter().any(|u| (told * u - want).abs() <= RATE_TOLERANCE * u)
         };
-        let tools: Vec<f64> = [m.tool, m.loaded].into_iter().flatten().map(f64::from).collect();
-        match (figure('F').zip(feed), figure('S').zip(m.speed), figure('T')) {
+        // Some name the tool in the spindle, others the one that was selected.
+        let tool = m.tool.filter(|t| m.loaded == Some(*t)).map(f64::from);
+        match (figure('F').zip(feed), figure('S').zip(m.speed), figure('T').zip(tool)) {
             (Some((told, want)), ..) if !is(told, want) => {
                 Some(format!("the feed is {told}, it should be {want}"))
             }
             (_, Some((told, want)), _) if (told - want).abs() > RATE_TOLERANCE => {
                 Some(format!("the speed is {told}, it should be {want}"))
             }
-            (.., Some(told)) if !tools.is_empty() && !tools.contains(&told) => {
-                Some(format!("the tool is {told}, it should be {}", tools[0]))
+            (.., Some((told, want))) if told != want => {
+                Some(format!("the tool is {told}, it should be {want}"))
             }
             _ => None,
         }
