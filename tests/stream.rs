@@ -417,7 +417,7 @@ fn an_unchecked_program_needs_a_flag() {
 #[test]
 fn a_job_says_whether_its_delivery_is_verified() {
     let dir = tempfile::tempdir().unwrap();
-    let file = write(dir.path(), "G21\nG90\nG94\nG17\nG54\nG0 X1 Y1\nG1 X9 F900\nM30\n");
+    let file = write(dir.path(), "G21\nG90\nG54\nG0 X1 Y1\nG1 X9 F900\nM30\n");
     let send = |port: &str, more: &[&str]| finished(hmplan(&file, Path::new(port), more));
     let (code, stdout, stderr) = send("sim:grbl,speed=1", &[]);
     assert!(code == 0 && stdout.starts_with("done, NOT VERIFIED:"), "{stdout}{stderr}");
