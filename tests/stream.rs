@@ -413,3 +413,32 @@ fn an_unchecked_program_needs_a_flag() {
     let (code, ..) = finished(hmplan(&file, Path::new("sim:grbl"), &["--dry-run"]));
     assert_eq!(code, 0);
 }
+
+#[test]
+fn a_job_says_whether_its_delivery_is_verified() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = write(dir.path(), "G21\nG90\nG54\nG0 X1 Y1\nG1 X9 F900\nM30\n");
+    let send = |port: &str, more: &[&str]| finished(hmplan(&file, Path::new(port), more));
+    let (code, stdout, stderr) = send("sim:grbl,speed=1", &[]);
+    assert!(code == 0 && stdout.starts_with("done, NOT VERIFIED:"), "{stdout}{stderr}");
+    for (port, verified, means) in [
+        ("sim:grbl", false, "unproven"),
+        ("sim:grblhal", false, "unproven"),
+        ("sim:grblhal,echo", true, "repeated"),
+        ("sim:marlin", true, "checksum"),
+    ] {
+        let (code, stdout, stderr) = send(port, &["--json"]);
+        let report: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+        assert_eq!((code, &report["ending"]), (0, &"done".into()), "{port}: {stderr}");
+        assert_eq!(report["verified"], verified, "{port}: {stdout}");
+        assert_eq!(report["delivery"]["control"], means, "{port}: {stdout}");
+        let event = stderr.lines().find(|l| l.contains("\"event\":\"delivery\"")).unwrap();
+        assert!(event.contains(&format!("\"verified\":{verified}")), "{event}");
+        let asked = report["delivery"]["parser_states"].as_u64().unwrap();
+        assert_eq!(asked > 5, !verified, "{port}: {stdout}");
+
+        let (code, _, stderr) = send(port, &["--verified"]);
+        assert_eq!(code, i32::from(!verified), "{port}: {stderr}");
+        assert_eq!(stderr.contains("a verified run is not possible"), !verified, "{stderr}");
+    }
+}

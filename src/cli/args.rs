@@ -340,6 +340,9 @@ pub struct StreamArgs {
     /// Send a program that no verified plan vouches for
     #[arg(long)]
     pub unchecked: bool,
+    /// Begin only on devices that show damage of every byte, by checksum or echo
+    #[arg(long, conflicts_with = "check")]
+    pub verified: bool,
     /// Let the controller read the program without moving
     #[arg(long, conflicts_with_all = ["dry_run", "resume"])]
     pub check: bool,

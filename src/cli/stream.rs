@@ -71,6 +71,7 @@ pub fn run(args: &StreamArgs, output: &OutputArgs) -> Result<Exit, Failure> {
         check: args.check,
         // In check mode nothing moves.
         end: if args.check { Vec::new() } else { look.end },
+        verified: args.verified,
         limits: Limits::default(),
     };
     job(args, port, &machine, setup, View::new(output, script, journal), output)
@@ -118,6 +119,7 @@ fn job(
     match outcome.ending.exit_code() {
         0 => Ok(Exit::Done),
         130 => Ok(Exit::Interrupted),
+        1 => Err(Failure::Input(format!("{}; {}", outcome.ending, outcome.next_action()))),
         _ => Err(Failure::Io(format!("{}; {}", outcome.ending, outcome.next_action()))),
     }
 }

@@ -3,7 +3,9 @@
 
 use super::args::OutputArgs;
 use hmplan::stream::core::{Core, Micros, Note, SECOND};
-use hmplan::stream::{Journal, Observer, Outcome, Position, Script, State, Status};
+use hmplan::stream::{
+    Delivery, Ending, Journal, Means, Observer, Outcome, Position, Script, State, Status,
+};
 use serde_json::{Value, json};
 use std::io::{self, IsTerminal as _, Write as _};
 use std::sync::Arc;
@@ -168,6 +170,13 @@ impl Observer for View {
                 json!({"event": "waits", "t": t, "line": number, "why": why}),
             ),
             Note::GoesOn => self.say("goes on", json!({"event": "goes-on", "t": t})),
+            Note::Delivery(delivery) => self.say(
+                &delivery.in_words(),
+                json!({
+                    "event": "delivery", "t": t, "verified": delivery.is_verified(),
+                    "what": delivery.in_words(),
+                }),
+            ),
             Note::Stopping(why) => self
                 .say(&format!("stopping: {why}"), json!({"event": "stopping", "t": t, "why": why})),
             Note::Warning(what) => {
@@ -202,9 +211,11 @@ fn clock(s: f64) -> String {
 
 /// The job's report as text.
 pub fn report(o: &Outcome, view: &View) -> String {
+    let unproven = o.ending == Ending::Done && !o.delivery.is_verified();
     let mut out = format!(
-        "{}: {} of {} lines answered, the last is line {}; {:.1} s\n",
+        "{}{}: {} of {} lines answered, the last is line {}; {:.1} s\n",
         o.ending,
+        if unproven { ", NOT VERIFIED" } else { "" },
         o.confirmed,
         o.total,
         o.last_confirmed,
@@ -235,7 +246,19 @@ pub fn report(o: &Outcome, view: &View) -> String {
     if !o.not_off.is_empty() {
         out += &format!("NOT OFF      nobody confirmed {}\n", o.not_off.join(", "));
     }
+    if o.last_confirmed > 0 {
+        out += &format!("delivery     {}\n", o.delivery.in_words());
+    }
     out + &format!("next         {}\n", o.next_action())
+}
+
+/// What vouches for the lines, for programs that read it.
+fn delivery(d: &Delivery) -> Value {
+    json!({
+        "control": d.control.word(), "extruder": d.extruder.map(Means::word),
+        "positions_on_path": d.checks.places, "positions_at_rest": d.checks.rests,
+        "parser_states": d.checks.states, "what": d.in_words(),
+    })
 }
 
 /// The job's report as one JSON object.
@@ -249,6 +272,7 @@ pub fn report_json(o: &Outcome, view: &View) -> Value {
         "lines": o.total, "confirmed": o.confirmed, "settled": o.settled,
         "last_confirmed_line": o.last_confirmed, "in_flight": o.in_flight,
         "position_known": known, "machine_position": machine, "work_position": work,
+        "verified": o.delivery.is_verified(), "delivery": delivery(&o.delivery),
         "not_off": o.not_off, "repeated": view.repeated, "waits": view.waits,
         "seconds": seconds(view.now), "model_seconds": view.script.total_s(),
         "at_rest": view.status.as_ref().is_some_and(|s| s.state == State::Idle),

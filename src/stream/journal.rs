@@ -174,6 +174,7 @@ impl Observer for Journal {
                 self.record(at, Entry::Event { what: format!("stopping: {what}") });
             }
             Note::Warning(what) => self.record(at, Entry::Event { what: what.clone() }),
+            Note::Delivery(delivery) => self.record(at, Entry::Event { what: delivery.in_words() }),
             Note::Again { .. } | Note::Status(_) | Note::Said { .. } => {}
         }
         self.dirty |= matches!(note, Note::Written(_) | Note::Confirmed(_) | Note::Settled(_));

@@ -12,9 +12,10 @@
 //! are run once each and in order, as far as a checksum of eight bits tells.
 //!
 //! Not guaranteed: grbl, grblHAL and plain boards have no checksum, so that a damaged block which is
-//! still valid is seen only when the device repeats what it reads or ends elsewhere; bytes already
-//! on the wire cannot be called back; an `ok` to an extruder's code proves no extruder. Settings of
-//! the controller are not compared with the profile.
+//! still valid is seen only when the device repeats what it reads, or when its parser's state or a
+//! position it reports departs from the program; a job that only those vouch for is not called
+//! verified. Bytes already on the wire cannot be called back; an `ok` to an extruder's code proves no
+//! extruder. Settings of the controller are not compared with the profile.
 //!
 //! Times are microseconds since the ports were opened, lengths mm, angles degrees.
 //!
@@ -40,6 +41,7 @@ mod dry;
 mod journal;
 mod modal;
 mod outcome;
+mod path;
 mod preflight;
 mod reply;
 mod resume;
@@ -52,7 +54,7 @@ pub use clearance::{Cleared, Ground, NotVouched, digest};
 pub use dialect::Dialect;
 pub use journal::{Counts, Entry, Journal, Last, last};
 pub use modal::{Modal, Module, Rates, Spindle, Way};
-pub use outcome::{Ending, Outcome, Position};
+pub use outcome::{Delivery, Ending, Means, Outcome, Position};
 pub use preflight::{Fault, Preflight, Setting, preflight};
 pub use reply::{Lines, Reply, State, Status};
 pub use resume::{Refusal, Resumed, Said, resume};

@@ -1,6 +1,6 @@
 //! How a job ended, and what a person should do next.
 
-use super::core::Device;
+use super::core::{Checks, Device};
 
 /// Why a job ended.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,6 +61,81 @@ pub enum Ending {
     Astray {
         what: String,
     },
+    /// The controller does what the program does not say, somewhere between two lines of the file.
+    Departed {
+        lines: [u32; 2],
+        what: String,
+    },
+    /// Before the first line: a verified run was asked for, and the device cannot give one.
+    Unverifiable {
+        device: Device,
+    },
+}
+
+/// What vouches that a device read what was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Means {
+    /// A number and a checksum a line.
+    Checksum,
+    /// The device repeats what it reads, and is held to every byte.
+    Repeated,
+    /// Nothing: one valid line in place of another would have been run.
+    Unproven,
+}
+
+/// How far it is known that what was read is what was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Delivery {
+    pub control: Means,
+    /// Of the extruder's own board, if any of its codes are in the program.
+    pub extruder: Option<Means>,
+    /// What an unproven controller was held to.
+    pub checks: Checks,
+}
+
+impl Means {
+    pub fn word(self) -> &'static str {
+        match self {
+            Means::Checksum => "checksum",
+            Means::Repeated => "repeated",
+            Means::Unproven => "unproven",
+        }
+    }
+}
+
+impl Delivery {
+    /// Whether every byte was vouched for on every device.
+    pub fn is_verified(&self) -> bool {
+        self.control != Means::Unproven && self.extruder != Some(Means::Unproven)
+    }
+
+    /// What is known, in words.
+    pub fn in_words(&self) -> String {
+        let unproven: Vec<&str> = [
+            (self.control == Means::Unproven).then_some("controller"),
+            (self.extruder == Some(Means::Unproven)).then_some("extruder"),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        if unproven.is_empty() {
+            return "verified: every line arrived as it was written".into();
+        }
+        let Checks { places, rests, states } = self.checks;
+        let devices = unproven.join(" and ");
+        let held = match self.control {
+            Means::Unproven => format!(
+                "; checked instead: {places} positions on the path, {rests} at rest, {states} parser \
+                 states"
+            ),
+            _ => String::new(),
+        };
+        format!(
+            "NOT VERIFIED: the {devices} has neither checksum nor echo, so that a damaged line that \
+             is still valid may have run{held}; for a verified run use a firmware that repeats what it \
+             reads, or one with line numbers and checksums (--verified refuses any other)"
+        )
+    }
 }
 
 /// Where the machine stands at the end.
@@ -90,6 +165,7 @@ pub struct Outcome {
     pub position: Position,
     /// Codes meant to switch something off that no device confirmed.
     pub not_off: Vec<String>,
+    pub delivery: Delivery,
 }
 
 impl Ending {
@@ -97,6 +173,7 @@ impl Ending {
     pub fn exit_code(&self) -> u8 {
         match self {
             Ending::Done => 0,
+            Ending::Unverifiable { .. } => 1,
             Ending::Stopped => 130,
             _ => 3,
         }
@@ -118,6 +195,8 @@ impl Ending {
             Ending::NotReady { .. } => "not-ready",
             Ending::Halted { .. } => "halted",
             Ending::Astray { .. } => "astray",
+            Ending::Departed { .. } => "departed",
+            Ending::Unverifiable { .. } => "unverifiable",
         }
     }
 
@@ -125,7 +204,7 @@ impl Ending {
     pub fn device(&self) -> Option<Device> {
         match self {
             Ending::Done | Ending::Stopped => None,
-            Ending::Astray { .. } => Some(Device::Control),
+            Ending::Astray { .. } | Ending::Departed { .. } => Some(Device::Control),
             Ending::Refused { device, .. }
             | Ending::Alarm { device, .. }
             | Ending::Reset { device, .. }
@@ -135,6 +214,7 @@ impl Ending {
             | Ending::Garbled { device, .. }
             | Ending::GaveUp { device, .. }
             | Ending::NotReady { device, .. }
+            | Ending::Unverifiable { device }
             | Ending::Halted { device, .. } => Some(*device),
         }
     }
@@ -172,6 +252,15 @@ impl std::fmt::Display for Ending {
             Ending::Astray { what } => {
                 write!(f, "the machine is not where the program ends: {what}")
             }
+            Ending::Departed { lines: [a, b], what } => write!(
+                f,
+                "the controller does not do what lines {a} to {b} of the program say: {what}"
+            ),
+            Ending::Unverifiable { device } => write!(
+                f,
+                "a verified run is not possible: the {device} has neither checksum nor echo; nothing \
+                 was sent"
+            ),
         }
     }
 }
@@ -187,7 +276,8 @@ impl Outcome {
              --position-known"
         };
         match &self.ending {
-            Ending::Done => "take the part".into(),
+            Ending::Done if self.delivery.is_verified() => "take the part".into(),
+            Ending::Done => "measure the part, since its program's delivery is not verified".into(),
             Ending::NotReady { .. } => "mend what it says and start again; nothing was sent".into(),
             Ending::Stopped => resume.into(),
             Ending::Refused { number, .. } => format!(
@@ -204,6 +294,13 @@ impl Outcome {
             }
             Ending::Silent { .. } | Ending::HungUp { .. } => format!(
                 "make sure that spindle and extruder are off, since nothing could be sent; {resume}"
+            ),
+            Ending::Unverifiable { .. } => {
+                "leave --verified out, or use a firmware that repeats what it reads".into()
+            }
+            Ending::Departed { .. } => format!(
+                "a line was damaged on its way, or the controller was told otherwise by someone else; \
+                 look at the part; {resume}"
             ),
             Ending::Astray { .. } => {
                 "the part may be wrong: a line was damaged on its way, or a setting differs from \

@@ -63,8 +63,14 @@ pub enum Reply {
     Alarm(Option<u32>),
     Banner(String),
     Status(Box<Status>),
-    /// Receive buffer from the build information, bytes.
-    Receive(usize),
+    /// From the build information: blocks of the planner, where told, and bytes of the receive
+    /// buffer.
+    Build {
+        blocks: Option<usize>,
+        bytes: usize,
+    },
+    /// The parser's state, word by word: the answer to `$G`.
+    Parser(String),
     /// The controller repeats what it read.
     Echo(String),
     /// Alive and not ready yet.
@@ -157,8 +163,13 @@ fn grbl(line: &str) -> Reply {
             return Reply::Echo(echo.trim().into());
         }
         if let Some(opt) = body.strip_prefix("OPT:") {
-            let bytes = opt.split(',').nth(2).and_then(|b| b.parse().ok());
-            return bytes.map_or(Reply::Info(line.into()), Reply::Receive);
+            let figure = |i| opt.split(',').nth(i).and_then(|b| b.parse().ok());
+            let blocks = figure(1);
+            return figure(2)
+                .map_or(Reply::Info(line.into()), |bytes| Reply::Build { blocks, bytes });
+        }
+        if let Some(state) = body.strip_prefix("GC:") {
+            return Reply::Parser(state.into());
         }
         return Reply::Info(line.into());
     }
@@ -330,7 +341,8 @@ mod tests {
         for other in ["[MSG:Check Door]", "$110=500.000", ">G54:ok", "Grbl 1.1h ['$' for help]"] {
             assert!(matches!(hal(other), Reply::Info(_) | Reply::Banner(_)), "{other}");
         }
-        assert_eq!(hal("[OPT:V,15,128]"), Reply::Receive(128));
+        assert_eq!(hal("[OPT:V,15,128]"), Reply::Build { blocks: Some(15), bytes: 128 });
+        assert_eq!(hal("[GC:G0 G54 M5]"), Reply::Parser("G0 G54 M5".into()));
         assert_eq!(hal("okerror:20"), Reply::Garbled);
         assert_eq!(hal("[echo: G1X1]"), Reply::Echo("G1X1".into()));
     }

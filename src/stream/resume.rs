@@ -8,6 +8,7 @@
 
 use super::journal::{Entry, Last};
 use super::modal::{AXES, Modal, Rates, Spindle, Way};
+use super::path::{distance, off_segment};
 use super::preflight::look_at;
 use super::{Class, Cleared, Dialect, Fault, Preflight, Script, Setting};
 use crate::gcode::read_block;
@@ -225,20 +226,6 @@ fn find(
 
 fn known(m: &Modal) -> Option<[f64; 3]> {
     Some([m.work[0]?, m.work[1]?, m.work[2]?])
-}
-
-fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
-}
-
-fn off_segment(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
-    let along: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
-    let square: f64 = along.iter().map(|v| v * v).sum();
-    if square == 0.0 {
-        return distance(p, a);
-    }
-    let t: f64 = (0..3).map(|i| (p[i] - a[i]) * along[i]).sum::<f64>() / square;
-    distance(p, std::array::from_fn(|i| a[i] + t.clamp(0.0, 1.0) * along[i]))
 }
 
 /// Whether a point may lie on some arc between two points, generously.

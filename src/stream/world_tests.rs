@@ -21,6 +21,10 @@ pub struct Person {
     pub stops: Option<Micros>,
     /// Stops again so long after.
     pub again: Option<Micros>,
+    /// Holds the machine at this time, and lets it go on so long after.
+    pub holds: Option<[Micros; 2]>,
+    /// Sets an override at this time.
+    pub overrides: Option<(Micros, u8)>,
 }
 
 pub struct World {
@@ -56,6 +60,20 @@ impl World {
         scripts: [FaultScript; 2],
         check: bool,
     ) -> World {
+        World::with(preflight, setups, scripts, [check, false])
+    }
+
+    /// A world without faults, in which only a verified run may begin.
+    pub fn verified(preflight: &Preflight, setups: [Option<SimSetup>; 2]) -> World {
+        World::with(preflight, setups, Default::default(), [false, true])
+    }
+
+    fn with(
+        preflight: &Preflight,
+        setups: [Option<SimSetup>; 2],
+        scripts: [FaultScript; 2],
+        [check, verified]: [bool; 2],
+    ) -> World {
         let dialect = |s: &Option<SimSetup>| s.as_ref().map(|s| s.dialect);
         let control = dialect(&setups[0]).unwrap();
         let core = Core::new(Setup {
@@ -65,6 +83,7 @@ impl World {
             module_off: ["M73", "M74", "M71"].map(String::from).to_vec(),
             check,
             end: preflight.end.clone(),
+            verified,
             limits: Limits::default(),
         });
         let [a, b] = setups;
@@ -96,6 +115,11 @@ impl World {
         let mut stops: Vec<Micros> = person.stops.into_iter().collect();
         stops.extend(person.stops.zip(person.again).map(|(a, b)| a + b));
         stops.reverse();
+        let mut asks: Vec<(Micros, Command)> = Vec::new();
+        if let Some([at, takes]) = person.holds {
+            asks.extend([(at, Command::Hold), (at + takes, Command::Resume)]);
+        }
+        asks.extend(person.overrides.map(|(at, byte)| (at, Command::Override(byte))));
         loop {
             if let Some(outcome) = self.core.outcome() {
                 return Some(outcome.clone());
@@ -107,6 +131,10 @@ impl World {
             if stops.last().is_some_and(|t| self.now >= *t) {
                 stops.pop();
                 self.event(Event::Command(Command::Stop));
+            }
+            while let Some(i) = asks.iter().position(|(t, _)| self.now >= *t) {
+                let (_, command) = asks.remove(i);
+                self.event(Event::Command(command));
             }
             if self.waits.is_some_and(|t| self.now >= t) {
                 self.waits = None;
@@ -252,4 +280,5 @@ impl World {
 }
 
 /// Lines that programs of these tests do not have in this spelling.
-pub const OWN: [&str; 10] = ["M108", "G4P0", "M400", "M114", "M5", "M9", "M107", "M410", "$I", ""];
+pub const OWN: [&str; 11] =
+    ["M108", "G4P0", "M400", "M114", "M5", "M9", "M107", "M410", "$I", "$G", ""];

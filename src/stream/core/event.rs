@@ -1,6 +1,6 @@
 //! What goes into the core and what comes out of it.
 
-use crate::stream::{Dialect, Script, Status};
+use crate::stream::{Delivery, Dialect, Script, Status};
 use std::sync::Arc;
 
 /// Virtual time, microseconds since the ports were opened.
@@ -84,6 +84,8 @@ pub enum Note {
     Again {
         number: u32,
     },
+    /// Every line was run; what vouches for them.
+    Delivery(Delivery),
     /// A stop began.
     Stopping(String),
     Said {
@@ -141,6 +143,8 @@ pub struct Setup {
     pub check: bool,
     /// Where the program ends, where that can be told: axis, coordinate, whether of the machine.
     pub end: Vec<EndPoint>,
+    /// Begin only where checksum or echo vouch for every byte.
+    pub verified: bool,
     pub limits: Limits,
 }
 

@@ -1,11 +1,12 @@
 //! What replies do to the job.
 
 use super::link::{Heard, Link, Tag};
-use super::{ASKS, Core, Drain, Greeting, IDLE_REPORTS, Phase, stop};
+use super::{ASK_STATE, ASKS, Core, Drain, Greeting, IDLE_REPORTS, Phase, stop};
 use super::{Action, Device, Note};
-use crate::stream::outcome::Ending;
+use crate::gcode::read_block;
+use crate::stream::outcome::{Ending, Means};
 use crate::stream::reply::Lines;
-use crate::stream::{Dialect, Reply, State, Status};
+use crate::stream::{Class, Dialect, Reply, State, Status};
 
 impl Core {
     /// Bytes from a device.
@@ -56,8 +57,10 @@ impl Core {
                 return self.fail(Ending::Halted { device, what: text.clone() }, out);
             }
             Reply::Status(status) => return self.status(status, out),
-            Reply::Receive(bytes) => {
+            Reply::Build { blocks, bytes } => {
                 let dialect = self.setup.control;
+                // The larger figure keeps more of the path.
+                self.vouch.blocks = self.vouch.blocks.max(blocks.unwrap_or(0));
                 if let Some(p) = self.peer(device) {
                     p.link.receive_buffer(dialect, *bytes);
                     p.told[1] = true;
@@ -68,6 +71,14 @@ impl Core {
                 let oldest = self.peer(device).and_then(|p| p.link.oldest());
                 let number = oldest.map_or(0, |t| self.number(t));
                 out.push(Action::Note(Note::Waits { number, why: "the program pauses" }));
+            }
+            Reply::Parser(state) => {
+                let Some(p) = self.peer(device) else { return };
+                p.parser = Some(state.clone());
+                // Everything before the question must have been answered.
+                if p.link.oldest() != Some(Tag::Modes) {
+                    return self.out_of_step(device, out);
+                }
             }
             Reply::Position(at) => self.position(device, at.clone(), out),
             Reply::Info(text) => {
@@ -132,6 +143,9 @@ impl Core {
                 self.fail(Ending::GaveUp { device, number }, out);
             }
             Heard::Garbled(what) => self.fail(Ending::Garbled { device, what }, out),
+            Heard::Refused { tag: Tag::Modes, .. } if !self.vouch.is_on() => {
+                self.write(device, Tag::Modes, "", out);
+            }
             Heard::Refused { tag: Tag::Clear, .. } => self.answered(device, Tag::Clear, out),
             Heard::Refused { tag, code, text } => {
                 let dialect = self.peers[device.index()].as_ref().map(|p| p.dialect);
@@ -148,6 +162,12 @@ impl Core {
             Tag::Line(i) => {
                 // A named answer, or one found by asking again, stands for those before it.
                 self.confirmed = self.confirmed.max(i + 1);
+                self.vouch.confirmed(self.confirmed);
+                if self.passed_a_pause(device, i) {
+                    let number = self.setup.script.number(i);
+                    let what = "it went on where it should have paused".into();
+                    return self.fail(Ending::Departed { lines: [number; 2], what }, out);
+                }
                 self.told_to_go_on = false;
                 if self.waits {
                     self.waits = false;
@@ -179,12 +199,25 @@ impl Core {
                 } else if self.setup.check {
                     self.write(device, Tag::Check, "$C", out);
                 } else {
-                    self.ready(device);
+                    self.ask_modes(device, out);
                 }
             }
+            Tag::Modes => self.modes(device, out),
             Tag::Ask | Tag::Check => self.ready(device),
             Tag::Drain { .. } => {}
         }
+    }
+
+    /// Whether an M0 was answered that neither held the machine nor waited for a person.
+    fn passed_a_pause(&self, device: Device, i: usize) -> bool {
+        let pauses = self.setup.script.line(i).is_some_and(|l| l.class == Class::Pause);
+        let m0 = || {
+            let words = read_block(self.setup.script.text(i)).unwrap_or_default();
+            words.iter().any(|w| w.letter == 'M' && w.value == 0.0)
+        };
+        let by_hand = self.told_to_go_on || self.waits;
+        let grbl = device == Device::Control && self.setup.control.is_grbl();
+        pauses && grbl && !self.setup.check && !by_hand && m0()
     }
 
     fn ask(&mut self, device: Device, n: u8, out: &mut Vec<Action>) {
@@ -193,6 +226,60 @@ impl Core {
             p.told = [p.told[0] || p.told[1], false];
         }
         self.write(device, Tag::Ask, "$I", out);
+    }
+
+    /// Asks for the parser's state before the first line, unless the device repeats every line.
+    fn ask_modes(&mut self, device: Device, out: &mut Vec<Action>) {
+        let Some(p) = self.peer(device) else { return };
+        if p.link.means() != Means::Unproven {
+            return self.ready(device);
+        }
+        p.greeting = Greeting::Modes;
+        self.write(device, Tag::Modes, ASK_STATE, out);
+    }
+
+    /// The parser's state was told, or was not.
+    fn modes(&mut self, device: Device, out: &mut Vec<Action>) {
+        let Some(p) = self.peer(device) else { return };
+        let (told, greets) = (p.parser.take(), p.greeting == Greeting::Modes);
+        if greets {
+            if let Some(state) = told {
+                let rests = self.status.as_ref().filter(|s| s.state == State::Idle);
+                let at = rests.and_then(|s| self.work_position(s));
+                self.vouch.begin(&state, at.as_deref());
+            }
+            return self.ready(device);
+        }
+        let Some(told) = told else { return self.out_of_step(device, out) };
+        if let Some((number, what)) = self.vouch.told(&told) {
+            self.fail(Ending::Departed { lines: [number; 2], what }, out);
+        }
+    }
+
+    fn out_of_step(&mut self, device: Device, out: &mut Vec<Action>) {
+        let what = "answers are out of step with the lines".into();
+        self.fail(Ending::Garbled { device, what }, out);
+    }
+
+    /// Holds a status report against the path.
+    fn vouch_for(&mut self, status: &Status, out: &mut Vec<Action>) {
+        let Some(at) = self.work_position(status) else { return };
+        let over = self.drain == Drain::Clean && self.all_idle();
+        let wrong = match status.state {
+            State::Idle if over => {
+                let line = self.setup.script.number(self.next.saturating_sub(1));
+                self.vouch.rest(&at).map(|what| ([line; 2], what))
+            }
+            State::Run if over => {
+                let line = self.setup.script.number(self.next.saturating_sub(1));
+                Some(([line; 2], "it moves although every motion should be over".into()))
+            }
+            State::Idle | State::Run | State::Hold(_) => self.vouch.place(&at, self.confirmed),
+            _ => None,
+        };
+        if let Some((lines, what)) = wrong {
+            self.fail(Ending::Departed { lines, what }, out);
+        }
     }
 
     fn ready(&mut self, device: Device) {
@@ -252,7 +339,10 @@ impl Core {
         }
         match self.phase {
             Phase::Greeting => self.status_at_start(status.state, out),
-            Phase::Running | Phase::Finishing { .. } => self.status_in_job(status.state, out),
+            Phase::Running | Phase::Finishing { .. } => {
+                self.status_in_job(status.state, out);
+                self.vouch_for(status, out);
+            }
             _ => {}
         }
     }

@@ -1,7 +1,7 @@
 //! One device's line: which lines were written and not answered, and whether another fits.
 
 use super::numbered::Numbered;
-use crate::stream::{Dialect, Reply};
+use crate::stream::{Dialect, Means, Reply};
 use std::collections::VecDeque;
 
 /// Bytes of the receive buffer that are left free: a realtime byte or a doubled byte must not be
@@ -19,6 +19,8 @@ pub(super) enum Tag {
     Ask,
     /// Switches the check mode.
     Check,
+    /// Asks for the parser's state.
+    Modes,
     /// Waits for motion; the last of its lines.
     Drain { last: bool },
 }
@@ -59,6 +61,8 @@ pub(super) struct Counted {
     echoes: bool,
     /// How many of `sent` were repeated.
     echoed: usize,
+    /// Answers, and those that repeated their line.
+    answers: [u64; 2],
 }
 
 impl Counted {
@@ -71,7 +75,13 @@ impl Counted {
             sent: VecDeque::new(),
             echoes: false,
             echoed: 0,
+            answers: [0; 2],
         }
+    }
+
+    /// Whether every line is repeated, so that a damaged one cannot go unseen.
+    fn repeats(&self) -> bool {
+        self.echoes || (self.answers[0] > 0 && self.answers[0] == self.answers[1])
     }
 
     fn room(&self, bytes: usize) -> bool {
@@ -102,6 +112,8 @@ impl Counted {
         if unread {
             return Heard::Garbled(format!("'{}' was answered without being repeated", sent.text));
         }
+        self.answers[0] += 1;
+        self.answers[1] += u64::from(text.is_some());
         match text.filter(|t| squeezed(t) != squeezed(&sent.text)) {
             Some(other) => Heard::Garbled(format!("'{}' arrived as '{other}'", sent.text)),
             None => Heard::Answered(sent.tag),
@@ -199,6 +211,15 @@ impl Link {
         match self {
             Link::Counted(c) => (c.window, c.used),
             Link::Numbered(_) => (None, 0),
+        }
+    }
+
+    /// What vouches for the lines written so far.
+    pub fn means(&self) -> Means {
+        match self {
+            Link::Numbered(_) => Means::Checksum,
+            Link::Counted(c) if c.repeats() => Means::Repeated,
+            Link::Counted(_) => Means::Unproven,
         }
     }
 

@@ -10,15 +10,18 @@ mod hear;
 mod link;
 mod numbered;
 mod stop;
+mod vouch;
 mod watch;
 
 pub use event::{Action, Command, Device, EndPoint, Event, Limits, Micros, Note, SECOND, Setup};
 
-use super::outcome::{Ending, Outcome, Position};
+use super::outcome::{Delivery, Ending, Means, Outcome, Position};
 use super::reply::Lines;
 use super::{Class, Dialect, State, Status};
 use link::{Link, Tag};
 use stop::Stop;
+pub use vouch::Checks;
+use vouch::{REST_TOLERANCE, Vouch};
 
 /// One device as the core sees it.
 struct Peer {
@@ -32,6 +35,8 @@ struct Peer {
     /// Whether it told its receive buffer when asked before, and since it was asked last.
     told: [bool; 2],
     greeting: Greeting,
+    /// The parser's state, told and not yet looked at.
+    parser: Option<String>,
 }
 
 /// How far the greeting is.
@@ -43,6 +48,8 @@ enum Greeting {
     State,
     /// Waits for the answers; counts the questions asked.
     Asking(u8),
+    /// Waits for the parser's state.
+    Modes,
     Ready,
 }
 
@@ -93,6 +100,9 @@ pub struct Core {
     waits: bool,
     /// The person said to go on; the answer is now due.
     told_to_go_on: bool,
+    vouch: Vouch,
+    /// A line behind which the parser's state is still to be asked.
+    question: Option<u32>,
     outcome: Option<Outcome>,
 }
 
@@ -101,6 +111,9 @@ const IDLE_REPORTS: u8 = 2;
 
 /// How often the build information is asked for: a damaged figure is then seen as the larger.
 const ASKS: u8 = 2;
+
+/// Asks for the parser's state: modes, feed, speed and tool as they are behind the line before.
+const ASK_STATE: &str = "$G";
 
 impl Core {
     /// A job that begins when its ports have just been opened.
@@ -114,9 +127,12 @@ impl Core {
             hung_up: false,
             told: [false; 2],
             greeting: Greeting::Banner,
+            parser: None,
         };
         Core {
             peers: [Some(peer(setup.control)), setup.extruder.map(peer)],
+            vouch: Vouch::new(setup.control.planner_blocks()),
+            question: None,
             setup,
             phase: Phase::Greeting,
             now: 0,
@@ -229,6 +245,9 @@ impl Core {
             }
         }
         if self.peers.iter().flatten().all(|p| p.greeting == Greeting::Ready) {
+            if let Some(device) = self.unverifiable() {
+                return self.fail(Ending::Unverifiable { device }, out);
+            }
             self.phase = Phase::Running;
             out.push(Action::Note(Note::Began));
             self.pump(out);
@@ -238,12 +257,18 @@ impl Core {
     /// The banner came, or none will: the first question.
     fn begin_talk(&mut self, device: Device, out: &mut Vec<Action>) {
         let now = self.now;
+        let off = self.setup.module_off.first().filter(|_| self.setup.verified).cloned();
         let Some(p) = self.peer(device) else { return };
         p.heard = now;
         p.link.clear();
-        match p.dialect {
-            Dialect::Plain => p.greeting = Greeting::Ready,
-            d if d.is_numbered() => {
+        match (p.dialect, off) {
+            // Whether it repeats its codes shows with the first: one that switches off does no harm.
+            (Dialect::Plain, Some(off)) => {
+                p.greeting = Greeting::Asking(1);
+                self.write(device, Tag::Ask, &off, out);
+            }
+            (Dialect::Plain, None) => p.greeting = Greeting::Ready,
+            (d, _) if d.is_numbered() => {
                 p.greeting = Greeting::Asking(1);
                 self.write(device, Tag::Ask, "", out);
             }
@@ -266,6 +291,9 @@ impl Core {
                 return;
             }
             self.wait_all = false;
+            if !self.put_question(out) {
+                return;
+            }
             let Some(line) = self.setup.script.line(self.next).copied() else {
                 if self.drained(out) {
                     self.phase = Phase::Finishing { idle: 0 };
@@ -288,11 +316,30 @@ impl Core {
             self.write(device, Tag::Line(self.next), script.text(self.next), out);
             if device == Device::Control {
                 self.drain = Drain::Dirty;
+                let asks =
+                    self.vouch.wrote(self.next, line.number, script.text(self.next), line.class);
+                self.question = asks.then_some(line.number);
             }
             self.wait_all = line.class.wait_after();
             self.next += 1;
             out.push(Action::Note(Note::Written(self.next)));
         }
+    }
+
+    /// Asks for the parser's state where that is due; false when it does not fit yet.
+    fn put_question(&mut self, out: &mut Vec<Action>) -> bool {
+        let Some(number) = self.question else { return true };
+        // grblHAL forgets a refusal with the next of these questions, and would run what is behind
+        // it: so nothing may be unanswered.
+        let alone = self.setup.control == Dialect::GrblHal;
+        let fits = |p: &mut Peer| p.link.room(ASK_STATE.len()) && (!alone || p.link.is_idle());
+        if !self.peer(Device::Control).is_some_and(fits) {
+            return false;
+        }
+        self.write(Device::Control, Tag::Modes, ASK_STATE, out);
+        self.vouch.ask(number);
+        self.question = None;
+        true
     }
 
     /// Whether every motion is over; asks for it when it is not known.
@@ -325,6 +372,7 @@ impl Core {
 
     fn settle(&mut self, out: &mut Vec<Action>) {
         self.drain = Drain::Clean;
+        self.vouch.settled();
         if self.settled != self.next {
             self.settled = self.next;
             out.push(Action::Note(Note::Settled(self.settled)));
@@ -359,7 +407,7 @@ impl Core {
                 *self.work_position(status)?.get(e.axis)?
             };
             // Some are set to report inches.
-            let off = [1.0, 25.4].iter().all(|u| (found * u - e.at).abs() > END_TOLERANCE);
+            let off = [1.0, 25.4].iter().all(|u| (found * u - e.at).abs() > REST_TOLERANCE);
             off.then(|| format!("{} is at {found:.3}, the program ends at {:.3}", e.letter, e.at))
         })
     }
@@ -405,6 +453,9 @@ impl Core {
             }
             Command::Override(byte) => {
                 if grbl && (0x90..=0xA1).contains(&byte) {
+                    if byte >= 0xA0 {
+                        self.vouch.coolant_switched();
+                    }
                     out.push(Action::Realtime(Device::Control, byte));
                 }
             }
@@ -426,6 +477,7 @@ impl Core {
             Tag::Clear => "".into(),
             Tag::Ask => "$I".into(),
             Tag::Check => "$C".into(),
+            Tag::Modes => ASK_STATE.into(),
             Tag::Drain { .. } => self.setup.control.drain().join(" "),
         }
     }
@@ -452,13 +504,16 @@ impl Core {
         ending: Ending,
         position: Position,
         not_off: Vec<String>,
-        _out: &mut Vec<Action>,
+        out: &mut Vec<Action>,
     ) {
         let script = &self.setup.script;
         let in_flight = match &self.phase {
             Phase::Stopping(s) => s.in_flight(),
             _ => self.in_flight(),
         };
+        if ending == Ending::Done && !self.setup.check {
+            out.push(Action::Note(Note::Delivery(self.delivery())));
+        }
         self.outcome = Some(Outcome {
             ending,
             confirmed: self.confirmed,
@@ -468,11 +523,29 @@ impl Core {
             in_flight,
             position,
             not_off,
+            delivery: self.delivery(),
         });
         self.phase = Phase::Over;
     }
-}
 
-/// How far from its end a program's machine may rest, mm or degrees: a step and the last digit of
-/// a report. Smaller, and rounding counts as a fault; larger, and more damage goes unseen.
-const END_TOLERANCE: f64 = 0.02;
+    /// A device that cannot give the verified run that was asked for.
+    fn unverifiable(&self) -> Option<Device> {
+        let delivery = self.delivery();
+        match (self.setup.verified, delivery.control, delivery.extruder) {
+            (true, Means::Unproven, _) => Some(Device::Control),
+            (true, _, Some(Means::Unproven)) => Some(Device::Extruder),
+            _ => None,
+        }
+    }
+
+    /// What vouches for the lines that were written.
+    fn delivery(&self) -> Delivery {
+        let means = |p: &Peer| p.link.means();
+        let sent = self.setup.script.extrudes();
+        Delivery {
+            control: self.peers[0].as_ref().map_or(Means::Unproven, means),
+            extruder: self.peers[1].as_ref().filter(|_| sent).map(means),
+            checks: self.vouch.checks,
+        }
+    }
+}

@@ -197,7 +197,10 @@ impl Core {
         let agrees = s.last.as_ref().is_some_and(|l| place(l) == place(status));
         s.last = Some(status.clone());
         if rests && agrees {
-            s.position = position;
+            // Where it is counts for nothing once it did what it was not told.
+            if !matches!(s.ending, Ending::Departed { .. }) {
+                s.position = position;
+            }
             self.reset(out);
         } else if status.state == State::Alarm {
             self.reset(out);

@@ -4,7 +4,7 @@ use super::motion::Motion;
 use super::{BOOTING, Record, SimSetup, run_module};
 use crate::gcode::{BadBlock, Word, read_block};
 use crate::stream::core::{Micros, SECOND};
-use crate::stream::modal::{Modal, Spindle, tenths};
+use crate::stream::modal::{Modal, Spindle, Way, tenths};
 use crate::stream::{Dialect, codes};
 use std::collections::VecDeque;
 
@@ -303,11 +303,13 @@ impl Grbl {
             return self.say("ok");
         }
         self.read(text);
+        if text.starts_with('$') {
+            // What it makes of this takes the place of an earlier error.
+            self.sticky = None;
+            return self.dollar(text, now);
+        }
         if let Some(code) = self.sticky {
             return self.refuse(code);
-        }
-        if text.starts_with('$') {
-            return self.dollar(text, now);
         }
         if self.alarm {
             return self.refuse(9);
@@ -334,6 +336,14 @@ impl Grbl {
                 self.say(option);
                 self.say("ok");
             }
+            "$G" => {
+                let state = self.parser_state();
+                self.say(&state);
+                self.say("ok");
+            }
+            "$C" if !self.check && (!self.motion.is_empty() || self.motion.held(now).is_some()) => {
+                self.refuse(8);
+            }
             "$C" if self.check => self.begin_anew(now),
             "$C" => {
                 self.check = true;
@@ -358,6 +368,39 @@ impl Grbl {
             }
             _ => self.refuse(3),
         }
+    }
+
+    /// Modes, feed, speed and tool behind the last block that was taken.
+    fn parser_state(&self) -> String {
+        let m = &self.modal;
+        let hal = self.hal();
+        let mut out = match m.way {
+            Way::Rapid | Way::None => "[GC:G0".to_string(),
+            Way::Feed => "[GC:G1".into(),
+            Way::Arc { clockwise: true } => "[GC:G2".into(),
+            Way::Arc { clockwise: false } => "[GC:G3".into(),
+            Way::Probe => "[GC:G38.2".into(),
+            Way::Cycle => "[GC:G81".into(),
+        };
+        let units = if m.inches { 20 } else { 21 };
+        let distance = if m.relative { 91 } else { 90 };
+        let feed = if m.inverse_time { 93 } else { 94 };
+        out += &format!(" G{} G{} G{units} G{distance} G{feed}", m.system, m.plane);
+        if hal {
+            out += if m.length.is_some() { " G40 G43 G98 G50" } else { " G40 G49 G98 G50" };
+        }
+        out += match m.spindle {
+            Spindle::Clockwise => " M3",
+            Spindle::Counter => " M4",
+            Spindle::Off => " M5",
+        };
+        for (on, word) in [(m.mist, " M7"), (m.flood, " M8"), (!m.mist && !m.flood, " M9")] {
+            out += if on { word } else { "" };
+        }
+        // grblHAL names the tool in the spindle, grbl the one that was selected.
+        let tool = if hal { m.loaded } else { m.tool };
+        let (feed, speed) = (m.feed.unwrap_or(0.0), m.speed.unwrap_or(0.0));
+        out + &format!(" T{} F{feed:.0} S{speed:.0}]", tool.unwrap_or(0))
     }
 
     fn record_dollar(&mut self, text: &str) {
@@ -450,7 +493,43 @@ impl Grbl {
         match () {
             () if motions > 1 => Err(21),
             () if feeds && moves && !fed => Err(22),
-            () => Ok(module),
+            () => self.needs(words, moves).map(|()| module),
+        }
+    }
+
+    /// Refuses a block that lacks words its code needs, or has some that none of its codes takes.
+    fn needs(&self, words: &[Word], moves: bool) -> Result<(), u32> {
+        let has = |letter| words.iter().any(|w| w.letter == letter);
+        let code = |wanted: &[u32]| {
+            let mut codes =
+                words.iter().filter(|w| w.letter == 'G').filter_map(|w| tenths(w.value));
+            codes.any(|c| wanted.contains(&c))
+        };
+        let any = |letters: &str| words.iter().any(|w| letters.contains(w.letter));
+        let (dwell, stores, lengths) = (code(&[40]), code(&[100]), code(&[430, 431, 432]));
+        let other =
+            code(&[730, 760, 810, 820, 830, 850, 860, 890, 330]) || code(&[382, 383, 384, 385]);
+        let names_way = code(&[0, 10, 20, 30]);
+        let arc = match names_way {
+            true => code(&[20, 30]),
+            false => matches!(self.modal.way, Way::Arc { .. }) && moves,
+        };
+        let mine = |letter: char| match letter {
+            'P' => dwell || stores || other || arc,
+            'L' => stores || other,
+            'H' => lengths,
+            'I' | 'J' | 'K' | 'R' => arc || stores || other,
+            'X' | 'Y' | 'Z' | 'A' | 'B' | 'C' => !dwell,
+            _ => true,
+        };
+        match () {
+            () if dwell && !has('P') => Err(28),
+            () if stores && !(has('P') && has('L')) => Err(28),
+            () if code(&[50, 51]) && !any("IJ") => Err(35),
+            () if arc && !moves => Err(26),
+            () if arc && !any("IJKR") => Err(35),
+            () if words.iter().any(|w| !mine(w.letter)) => Err(36),
+            () => Ok(()),
         }
     }
 
