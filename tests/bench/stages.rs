@@ -7,7 +7,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use hmplan::base::{Aabb, Ctx};
 use hmplan::gcode::{check, post};
-use hmplan::machine::{Machine, Tool, ToolKind};
+use hmplan::machine::{Machine, Taken, Tool, ToolKind};
 use hmplan::mesh::{ReadOptions, TriMesh, read};
 use hmplan::plan::{Job, Rules};
 use hmplan::planner::reman;

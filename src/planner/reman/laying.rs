@@ -201,7 +201,7 @@ fn descending(counts: &[usize]) -> Vec<usize> {
 
 /// Whether a voxel has a solid face or edge neighbour: a carrier alone may touch at a corner only,
 /// and what hangs by a corner is not connected.
-pub fn joined(solid: &BitGrid, v: [usize; 3]) -> bool {
+fn joined(solid: &BitGrid, v: [usize; 3]) -> bool {
     joints(v, solid.dims()).any(|q| solid.get(q))
 }
 

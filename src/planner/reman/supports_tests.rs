@@ -1,6 +1,6 @@
 //! Supports and the bare base on worlds small enough to know the answer.
 
-use super::laying::{Layer, Way, base_layer, joined};
+use super::laying::{Layer, Way, base_layer};
 use super::local_tests::job_of;
 use super::setting::Setting;
 use super::supports::lay_on_supports;
@@ -10,7 +10,7 @@ use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::{HoldingMode, Taken, Tool};
 use crate::plan::{Job, StepKind};
 use crate::verify::verify;
-use crate::voxel::{BitGrid, Frame};
+use crate::voxel::{BitGrid, Connectivity, Frame, flood};
 
 const DIMS: [usize; 3] = [44, 24, 30];
 
@@ -32,15 +32,18 @@ fn upright(job: &Job) -> Way<'_> {
     Way { direction: Direction::Z, holding: 0, tool: Tool::longest(&job.nozzles).unwrap() }
 }
 
-/// Whether every voxel of a region stands on something when it is laid from below along z.
+/// Whether a region can be laid layer by layer from below along z: each voxel carried by the layers
+/// under it, and each layer, once laid, one body with the part or the base.
 fn is_carried(job: &Job, state: &BitGrid, region: &BitGrid) -> bool {
     let table = CarrierTable::new(Direction::Z, job.rules.overhang_deg);
-    let mut solid = state.clone();
     let plate = base_layer(&job.frame);
-    region.iter_ones().all(|v| {
-        let stands = plate == Some(v[2]) || table.carries(&solid, v) && joined(&solid, v);
-        solid.set(v, true);
-        stands
+    let mut solid = state.clone();
+    (0..DIMS[2]).all(|z| {
+        let layer = BitGrid::from_fn(DIMS, |v| v[2] == z && region.get(v));
+        let carried = layer.iter_ones().all(|v| plate == Some(z) || table.carries(&solid, v));
+        solid.union_with(&layer);
+        let roots = BitGrid::from_fn(DIMS, |v| state.get(v) || plate == Some(v[2]));
+        carried && layer.is_subset_of(&flood(&solid, &roots, Connectivity::Edge18))
     })
 }
 

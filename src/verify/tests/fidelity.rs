@@ -6,7 +6,7 @@ use super::world::{add, cut, cylinder, machine, section};
 use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::Process;
 use crate::machine::{
-    BaseKind, Holding, HoldingMode, Place, Shape, Table, Tool, ToolKind, Workholding,
+    BaseKind, Holding, HoldingMode, Place, Shape, Table, Taken, Tool, ToolKind, Workholding,
 };
 use crate::mesh::TriMesh;
 use crate::plan::{Job, Plan, Rules, Step};

@@ -3,7 +3,7 @@
 use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::{
     BaseKind, Chain, Control, Holding, Linear, Machine, Mount, Place, Process, Rotary, Section,
-    Shape, Table, Tool, ToolKind, Workholding,
+    Shape, Table, Taken, Tool, ToolKind, Workholding,
 };
 use crate::mesh::TriMesh;
 use crate::plan::{Job, Origin, Plan, Rules, Step, StepKind};
