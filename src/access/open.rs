@@ -9,8 +9,8 @@
 
 use super::Scene;
 use super::depth::{cutter_map_of_grid, nozzle_map_of_grid};
-use super::filter::{Extreme, Largest, Least, running_extreme};
 use super::lattice::DepthMap;
+use super::tiles::Tiles;
 use crate::base::{DVec3, Direction};
 use crate::machine::{Tool, ToolKind};
 use crate::voxel::{BitGrid, Frame};
@@ -307,7 +307,7 @@ impl Bounds {
             lowest: to(2, reach[2].0),
             highest: to(2, reach[2].1),
             last: [last(0) as f32, last(1) as f32],
-            range: tiles.widened(spans),
+            range: tiles.widened(spans, MARGIN_MM),
         }
     }
 
@@ -329,52 +329,6 @@ impl Bounds {
             told.all |= u8::from(z + self.lowest[c] > most) << c;
         }
         told
-    }
-}
-
-/// Extremes of square tiles of cells.
-struct Tiles {
-    /// Tiles along u and v.
-    n: [usize; 2],
-    least: Vec<f32>,
-    largest: Vec<f32>,
-}
-
-impl Tiles {
-    /// Of tiles of TILE cells along each axis; the cells are given by their own extremes.
-    #[inline(always)]
-    fn of<const TILE: usize>(least: &[f32], largest: &[f32], [nu, nv]: [usize; 2]) -> Tiles {
-        let (width, n) = (nu.max(1), [nu.div_ceil(TILE), nv.div_ceil(TILE)]);
-        let mut across = [vec![0.0; n[0] * TILE], vec![0.0; n[0] * TILE]];
-        let [mut low, mut high] =
-            [Vec::with_capacity(n[0] * n[1]), Vec::with_capacity(n[0] * n[1])];
-        for (least, largest) in least.chunks(width * TILE).zip(largest.chunks(width * TILE)) {
-            let [lows, highs] = &mut across;
-            lows.fill(Least::NONE);
-            highs.fill(Largest::NONE);
-            for (least, largest) in least.chunks(width).zip(largest.chunks(width)) {
-                lows.iter_mut().zip(least).for_each(|(a, c)| *a = Least::of(*a, *c));
-                highs.iter_mut().zip(largest).for_each(|(a, c)| *a = Largest::of(*a, *c));
-            }
-            let least = |t: &[f32]| t.iter().fold(Least::NONE, |a, c| Least::of(a, *c));
-            let largest = |t: &[f32]| t.iter().fold(Largest::NONE, |a, c| Largest::of(a, *c));
-            low.extend(lows.chunks_exact(TILE).map(least));
-            high.extend(highs.chunks_exact(TILE).map(largest));
-        }
-        Tiles { n, least: low, largest: high }
-    }
-
-    /// Of each the extremes of those from it on, `spans` of them along either axis.
-    #[inline(always)]
-    fn widened(mut self, spans: [usize; 2]) -> Vec<(f32, f32)> {
-        let room = &mut Vec::new();
-        // What runs on from a row's end into the next only widens the range there.
-        for (stride, span) in [(1, spans[0]), (self.n[0], spans[1])] {
-            running_extreme::<Least>(&mut self.least, room, stride, span);
-            running_extreme::<Largest>(&mut self.largest, room, stride, span);
-        }
-        let range = self.least.iter().zip(&self.largest);
-        range.map(|(least, most)| (least - MARGIN_MM, most + MARGIN_MM)).collect()
     }
 }
 
