@@ -333,17 +333,17 @@ impl Bounds {
     fn verdicts(&self, at: DVec3) -> Told {
         let (u, v, z) = (at.x as f32, at.y as f32, at.z as f32);
         let mut tile = [0; 8];
-        for c in 0..8 {
+        for (c, tile) in tile.iter_mut().enumerate() {
             let (u, v) = (u + self.first[0][c], v + self.first[1][c]);
             let known = (u >= 0.0) & (v >= 0.0) & (u <= self.last[0]) & (v <= self.last[1]);
             let row = self.nu.wrapping_mul(below(v * self.per_cell));
             let at = below(u * self.per_cell).wrapping_add(row);
-            tile[c] = if known { at as u32 } else { u32::MAX };
+            *tile = if known { at as u32 } else { u32::MAX };
         }
         let unknown = self.range.len() - 1;
         let mut told = Told { some: 0, all: 0 };
-        for c in 0..8 {
-            let (least, most) = self.range[(tile[c] as usize).min(unknown)];
+        for (c, tile) in tile.iter().enumerate() {
+            let (least, most) = self.range[(*tile as usize).min(unknown)];
             told.some |= u8::from(z + self.highest[c] >= least) << c;
             told.all |= u8::from(z + self.lowest[c] > most) << c;
         }

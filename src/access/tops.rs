@@ -90,7 +90,7 @@ mod tests {
                 for (i, top) in found.iter().enumerate() {
                     let column = [i % others[0], i / others[0]];
                     let mut solid = (0..dims[axis]).filter(|t| grid.get(voxel(axis, column, *t)));
-                    let end = if up { solid.last() } else { solid.next() };
+                    let end = if up { solid.next_back() } else { solid.next() };
                     assert_eq!(*top, end.map_or(NONE, |t| t as i32), "{axis} {up} {column:?}");
                 }
             }
