@@ -6,13 +6,11 @@
 //! G(u, v) = min H + k on, k the lowest offset of the edge.
 
 use super::VoxelTool;
+use super::tops::{NONE, tops};
 use crate::morph::{Chord, Element, Plane, Window};
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-
-/// Height of a column without an obstacle: lower than any tool is long.
-const NONE: i32 = i32::MIN / 4;
 
 /// An image of heights with the position of its first cell.
 struct Heights {
@@ -28,29 +26,15 @@ pub fn accessible(obstacle: &BitGrid, tool: &VoxelTool) -> BitGrid {
     let Some(reach) = edge.bounds() else { return BitGrid::new(obstacle.dims()) };
     let grid = Window::of(obstacle.dims());
     let tips = grid.minus(&reach);
-    let lowest = lowest_tips(&tops(obstacle), tool.body(), &tips, &grid);
+    let lowest = lowest_tips(&heights(obstacle), tool.body(), &tips, &grid);
     let touched = touched_from(&lowest, &edge, &grid);
     from_heights(&touched, obstacle.dims())
 }
 
 /// The highest solid voxel of each column.
-fn tops(grid: &BitGrid) -> Heights {
-    let [nx, ny, nz] = grid.dims();
-    let mut cells = vec![NONE; nx * ny];
-    cells.par_chunks_mut(nx.max(1)).enumerate().for_each(|(y, row)| {
-        let mut open = vec![!0u64; grid.words_per_row()];
-        for z in (0..nz).rev() {
-            for (w, (open, bits)) in open.iter_mut().zip(grid.row(y, z)).enumerate() {
-                let mut new = bits & *open;
-                *open &= !bits;
-                while new != 0 {
-                    row[w * 64 + new.trailing_zeros() as usize] = z as i32;
-                    new &= new - 1;
-                }
-            }
-        }
-    });
-    Heights { lo: [0, 0], n: [nx, ny], cells }
+fn heights(grid: &BitGrid) -> Heights {
+    let [nx, ny, _] = grid.dims();
+    Heights { lo: [0, 0], n: [nx, ny], cells: tops(grid, 2, true) }
 }
 
 /// H at the tips of a window. Chords of one place and length share their running extremes.

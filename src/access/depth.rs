@@ -14,9 +14,11 @@
 //! are computed, so that a handful of voxels scattered over a part costs a handful of kernels.
 
 use super::Scene;
+use super::cells::Cells;
 use super::filter::{Image, Kernel, Op, Spans, filter};
 use super::image::{DepthImage, pool, splat, spread};
 use super::lattice::{DepthMap, Lattice};
+use super::tops::{NONE, axis_of, tops, voxel};
 use crate::base::{Aabb, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
 use crate::voxel::{BitGrid, Frame};
@@ -86,16 +88,24 @@ impl<'a> View<'a> {
         let Some(wanted) = self.wanted else {
             return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
         };
-        let shadow = shadow(wanted, self.plane.d);
-        // To look up more voxels than there are cells takes longer than the cells in between.
-        if shadow.is_none() && wanted.count() > lattice.nu * lattice.nv {
-            return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
-        }
         let mut under = vec![false; lattice.nu * lattice.nv];
-        for v in shadow.as_ref().unwrap_or(wanted).iter_ones() {
+        let mut mark = |v: [usize; 3]| {
             if let Some(c) = lattice.cell(self.plane.across(self.scene.frame.center(v))) {
                 under[c] = true;
             }
+        };
+        if let Some((axis, up)) = axis_of(self.plane.d) {
+            // The voxels of a column share their cell.
+            let width = wanted.dims()[usize::from(axis == 0)].max(1);
+            let tops = tops(wanted, axis, up);
+            for (i, _) in tops.iter().enumerate().filter(|(_, top)| **top != NONE) {
+                mark(voxel(axis, [i % width, i / width], 0));
+            }
+        } else if wanted.count() > lattice.nu * lattice.nv {
+            // To look up more voxels than there are cells takes longer than the cells in between.
+            return Spans::of_runs(lattice.under_box(&self.within, &self.plane));
+        } else {
+            wanted.iter_ones().for_each(mark);
         }
         Spans::of(&under, lattice.nu)
     }
@@ -119,7 +129,7 @@ impl<'a> View<'a> {
             .map(|pool| {
                 let wide = self.margin + (WIDEST_CELLS + 2.0) * pool as f64 * self.spacing;
                 let lattice = self.lattice(wide, pool);
-                (pool, lattice, vec![f32::NEG_INFINITY; lattice.nu * lattice.nv])
+                (pool, lattice, Cells::filled(lattice.nu * lattice.nv, f32::NEG_INFINITY))
             })
             .collect();
         self.highest = Some(splat(self.scene, &self.plane, &mut new));
@@ -141,7 +151,7 @@ impl<'a> View<'a> {
         tips: &Spans,
         sections: &[(Section, f64)],
         rounding_cells: f64,
-    ) -> Vec<f32> {
+    ) -> Cells {
         let seen: Vec<&(Section, f64)> = sections
             .iter()
             .enumerate()
@@ -157,8 +167,15 @@ impl<'a> View<'a> {
             pool
         };
         let round = |s: &Section| !matches!(s.shape, Shape::Platform { .. });
-        let pools: Vec<usize> =
-            seen.iter().filter(|(s, _)| round(s)).map(|(s, _)| pool_of(&s.shape)).collect();
+        let mut seen: Vec<(usize, &(Section, f64))> = seen
+            .into_iter()
+            .filter(|(s, _)| round(s))
+            .map(|part| (pool_of(&part.0.shape), part))
+            .collect();
+        // The coarse images cost least, and where a wide section holds the tip up high the narrow
+        // ones need no look.
+        seen.sort_by_key(|(pool, _)| std::cmp::Reverse(*pool));
+        let pools: Vec<usize> = seen.iter().map(|(pool, _)| *pool).collect();
         self.look(&pools);
         // Everything stands below a platform.
         let highest = self.highest.unwrap_or(f64::MIN);
@@ -169,12 +186,11 @@ impl<'a> View<'a> {
         let floor = sections.iter().map(floor).fold(f32::NEG_INFINITY, f32::max);
         let window = self.window();
         // A cell that is not computed is closed, whoever asks.
-        let mut lowest = vec![f32::INFINITY; window.nu * window.nv];
+        let mut lowest = Cells::filled(window.nu * window.nv, f32::INFINITY);
         for (row, spans) in lowest.chunks_mut(window.nu).zip(tips.rows()) {
             spans.iter().for_each(|s| row[s.clone()].fill(floor));
         }
-        for (section, lift) in seen.iter().filter(|(s, _)| round(s)) {
-            let pool = pool_of(&section.shape);
+        for (pool, (section, lift)) in seen {
             let Some((_, lattice, image)) = self.images.iter().find(|(p, ..)| *p == pool) else {
                 continue;
             };
@@ -188,7 +204,7 @@ impl<'a> View<'a> {
                 filter(Op::Max, &image, at, window.nu, &mut lowest, tips, &kernel);
             } else {
                 let coarse = self.lattice(self.margin + self.spacing, pool);
-                let mut pooled = vec![f32::NEG_INFINITY; coarse.nu * coarse.nv];
+                let mut pooled = Cells::filled(coarse.nu * coarse.nv, f32::NEG_INFINITY);
                 let all = Spans::all(coarse.nu, coarse.nv);
                 let at = lattice.offset_of(&coarse);
                 filter(Op::Max, &image, at, coarse.nu, &mut pooled, &all, &kernel);
@@ -197,32 +213,6 @@ impl<'a> View<'a> {
         }
         lowest
     }
-}
-
-/// One voxel for each column of a set along a grid axis: columns share their cell. None along any
-/// other direction.
-fn shadow(set: &BitGrid, d: DVec3) -> Option<BitGrid> {
-    let along = (0..3).find(|a| d[*a].abs() == 1.0)?;
-    let [_, ny, nz] = set.dims();
-    let mut out = BitGrid::new(set.dims());
-    for z in 0..nz {
-        for y in 0..ny {
-            let row = set.row(y, z);
-            match along {
-                0 => {
-                    let any = u64::from(row.iter().any(|w| *w != 0));
-                    if let Some(word) = out.row_mut(y, z).first_mut() {
-                        *word = any;
-                    }
-                }
-                _ => {
-                    let (y, z) = if along == 1 { (0, z) } else { (y, 0) };
-                    out.row_mut(y, z).iter_mut().zip(row).for_each(|(o, r)| *o |= r);
-                }
-            }
-        }
-    }
-    Some(out)
 }
 
 /// Whether a section of a tool needs no look, since another, drawn on the same footing or a finer
@@ -288,7 +278,7 @@ fn cutter_map_in(view: &mut View, under: &Spans, tool: &Tool, direction: Directi
     let tips = under.grown(reach, lattice.nu);
     let free = view.lowest_tip(&tips, &sections, rounding);
     let free = Image { width: lattice.nu, cells: &free };
-    let mut lowest = vec![f32::INFINITY; lattice.nu * lattice.nv];
+    let mut lowest = Cells::filled(lattice.nu * lattice.nv, f32::INFINITY);
     filter(Op::Min, &free, (0, 0), lattice.nu, &mut lowest, under, &kernel);
     DepthMap { plane: view.plane, lattice, lowest }
 }

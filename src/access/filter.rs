@@ -5,7 +5,13 @@
 //! above and below share their work, cells left and right share their addition, and a run of one
 //! value (the flat of a holder) takes a running extreme instead of one pass a cell. Extremes of
 //! f32 are exact: every order of evaluation gives the same bytes.
+//!
+//! Blocks of cells whose value the bounds of what the kernel sees from them already tell are
+//! settled without it: where nothing seen can pass what the cells hold (the ball under a holder that
+//! stands higher), and where all that is seen is one value. Sums of f32 never fall when a summand
+//! rises, so what is settled has the bytes that the kernel would have given.
 
+use super::tiles::{Extreme, Largest, Least, Tiles, running_extreme};
 use pulp::Arch;
 use rayon::prelude::*;
 use std::marker::PhantomData;
@@ -16,6 +22,14 @@ const BLOCK: usize = 32;
 
 /// Wanted runs closer than this are computed as one; the gap costs less than a second start.
 const JOIN: usize = 24;
+
+/// Cells along each axis of the tiles whose bounds settle blocks. Larger ones settle fewer, smaller
+/// ones take longer to look through.
+const TILE: usize = 8;
+
+/// An image has its bounds made only when at least one in so many of its cells is asked for, so that
+/// a few wanted cells do not cost a look at all of it.
+const BOUNDS_WORTH: usize = 4;
 
 /// A flat run shorter than this is cheaper cell by cell.
 const LEAST_FLAT: usize = 4;
@@ -84,6 +98,11 @@ impl Spans {
         Spans { rows }
     }
 
+    /// Number of cells.
+    fn count(&self) -> usize {
+        self.rows.iter().flatten().map(|run| run.len()).sum()
+    }
+
     pub fn rows(&self) -> impl Iterator<Item = &Vec<Range<usize>>> {
         self.rows.iter()
     }
@@ -110,18 +129,24 @@ struct KernelRow {
 pub struct Kernel {
     reach: usize,
     rows: Vec<KernelRow>,
+    /// Least and largest of its values.
+    least: f32,
+    largest: f32,
 }
 
 impl Kernel {
     /// Every `stride`-th cell up to `reach` along each axis where `value` of its distance (cells)
     /// is something.
     pub fn of(reach: usize, stride: usize, value: impl Fn(f64) -> Option<f32>) -> Kernel {
-        let mut rows = Vec::new();
+        let (mut rows, mut least, mut largest) = (Vec::new(), Least::NONE, Largest::NONE);
         for j in (0..=reach).step_by(stride) {
             let mut cells: Vec<(usize, f32)> = (0..=reach)
                 .step_by(stride)
                 .filter_map(|i| Some((i, value(((i * i + j * j) as f64).sqrt())?)))
                 .collect();
+            for (_, v) in &cells {
+                (least, largest) = (Least::of(*v, least), Largest::of(*v, largest));
+            }
             let mut flat = None;
             if let (1, Some(&(0, middle))) = (stride, cells.first()) {
                 let run = cells.iter().take_while(|(_, v)| *v == middle).count();
@@ -134,7 +159,7 @@ impl Kernel {
                 rows.push(KernelRow { j, flat, beside: cells });
             }
         }
-        Kernel { reach, rows }
+        Kernel { reach, rows, least, largest }
     }
 }
 
@@ -149,46 +174,107 @@ pub fn filter(
     spans: &Spans,
     kernel: &Kernel,
 ) {
+    if kernel.rows.is_empty() {
+        return;
+    }
     let arch = Arch::new();
+    let worth = spans.count() >= image.cells.len() / BOUNDS_WORTH;
+    let seen = worth.then(|| arch.dispatch(MakeSeen { image, reach: kernel.reach }));
     out.par_chunks_mut(width).zip(&spans.rows).enumerate().for_each_init(
         Scratch::default,
         |scratch, (row, (out, spans))| {
-            for span in spans {
-                let start = (at.0 + span.start as isize, at.1 + row as isize);
-                let out = &mut out[span.clone()];
+            let place = |i: usize| (at.0 + i as isize, at.1 + row as isize);
+            let mut run = |out: &mut [f32], cells: Range<usize>| {
+                let (start, out) = (place(cells.start), &mut out[cells]);
                 match op {
                     Op::Max => {
                         arch.dispatch(Run::<Largest>::of(image, start, out, kernel, scratch))
                     }
                     Op::Min => arch.dispatch(Run::<Least>::of(image, start, out, kernel, scratch)),
                 }
+            };
+            for span in spans {
+                let Some(seen) = &seen else {
+                    run(out, span.clone());
+                    continue;
+                };
+                let mut open = span.start;
+                for from in span.clone().step_by(BLOCK) {
+                    let end = (from + BLOCK).min(span.end);
+                    let block = &mut out[from..end];
+                    let settled = match op {
+                        Op::Max => seen.settle::<Largest>(place(from), block, kernel.largest),
+                        Op::Min => seen.settle::<Least>(place(from), block, kernel.least),
+                    };
+                    if settled {
+                        if open < from {
+                            run(out, open..from);
+                        }
+                        open = end;
+                    }
+                }
+                if open < span.end {
+                    run(out, open..span.end);
+                }
             }
         },
     );
 }
 
-pub trait Extreme: Send + Sync {
-    /// Loses against everything.
-    const NONE: f32;
-    fn of(a: f32, b: f32) -> f32;
+/// Bounds of what a kernel sees from blocks of cells of an image.
+struct Seen {
+    reach: isize,
+    /// Cells of the image along u and v.
+    cells: [isize; 2],
+    /// Tiles along u and v.
+    tiles: [usize; 2],
+    /// Least and largest cell seen from a block whose first seen cell lies in a tile, or among more.
+    range: Vec<(f32, f32)>,
 }
 
-pub struct Largest;
-pub struct Least;
+/// Makes the bounds, by the widest registers there are.
+struct MakeSeen<'a> {
+    image: &'a Image<'a>,
+    reach: usize,
+}
 
-impl Extreme for Largest {
-    const NONE: f32 = f32::NEG_INFINITY;
+impl pulp::NullaryFnOnce for MakeSeen<'_> {
+    type Output = Seen;
+
     #[inline(always)]
-    fn of(a: f32, b: f32) -> f32 {
-        if a > b { a } else { b }
+    fn call(self) -> Seen {
+        let MakeSeen { image, reach } = self;
+        let n = [image.width, image.cells.len().checked_div(image.width).unwrap_or(0)];
+        let of_tiles = Tiles::of::<TILE>(image.cells, image.cells, n);
+        let tiles = of_tiles.n;
+        // The first cell may be the last of its tile.
+        let over = |cells: usize| (cells + TILE - 1).div_ceil(TILE);
+        let range = of_tiles.widened([over(BLOCK + 2 * reach), over(1 + 2 * reach)], 0.0);
+        Seen { reach: reach as isize, cells: n.map(|n| n as isize), tiles, range }
     }
 }
 
-impl Extreme for Least {
-    const NONE: f32 = f32::INFINITY;
+impl Seen {
+    /// Whether the bounds tell the values of a block of at most [`BLOCK`] cells whose first lies at
+    /// `start` of the image; it has them then. `value` is the kernel's extreme one.
     #[inline(always)]
-    fn of(a: f32, b: f32) -> f32 {
-        if a < b { a } else { b }
+    fn settle<E: Extreme>(&self, start: (isize, isize), block: &mut [f32], value: f32) -> bool {
+        let first = [start.0 - self.reach, start.1 - self.reach];
+        let tile = [0, 1].map(|a| (first[a].max(0) as usize / TILE).min(self.tiles[a] - 1));
+        let Some(&(least, most)) = self.range.get(tile[0] + self.tiles[0] * tile[1]) else {
+            return false;
+        };
+        let best = E::of(least, most) + value;
+        if block.iter().all(|b| E::of(best, *b) == *b) {
+            return true;
+        }
+        let past = [first[0] + block.len() as isize + 2 * self.reach, start.1 + self.reach + 1];
+        // Of a kernel that reaches beyond the image the cell of that value may be missing.
+        let whole = (0..2).all(|a| first[a] >= 0 && past[a] <= self.cells[a]);
+        if whole && least == most {
+            block.iter_mut().for_each(|b| *b = E::of(best, *b));
+        }
+        whole && least == most
     }
 }
 
@@ -305,101 +391,6 @@ fn part_of<'a>(image: &Image<'a>, left: isize, j: isize, len: usize) -> Option<(
     (from < to).then(|| (from as usize, &image.cells[source..][..(to - from) as usize]))
 }
 
-/// Every cell becomes the extreme of `length` cells from it on, `stride` apart, by doubling; the last
-/// ones of the array stand for shorter runs. `room` is scratch.
-#[inline(always)]
-pub fn running_extreme<E: Extreme>(
-    cells: &mut Vec<f32>,
-    room: &mut Vec<f32>,
-    stride: usize,
-    length: usize,
-) {
-    let mut covered = 1;
-    while covered < length {
-        let step = covered.min(length - covered);
-        let far = cells.get(step * stride..).unwrap_or_default();
-        room.resize(cells.len(), E::NONE);
-        for ((r, near), far) in room.iter_mut().zip(cells.iter()).zip(far) {
-            *r = E::of(*near, *far);
-        }
-        let n = far.len();
-        room[n..].copy_from_slice(&cells[n..]);
-        std::mem::swap(cells, room);
-        covered += step;
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn naive(op: Op, image: &Image, at: (isize, isize), c: (usize, usize), k: &Naive) -> f32 {
-        let height = (image.cells.len() / image.width) as isize;
-        let mut best = if op == Op::Max { f32::NEG_INFINITY } else { f32::INFINITY };
-        for &(i, j, value) in k {
-            let x = at.0 + c.0 as isize + i;
-            let y = at.1 + c.1 as isize + j;
-            if (0..image.width as isize).contains(&x) && (0..height).contains(&y) {
-                let h = image.cells[(x + y * image.width as isize) as usize] + value;
-                best = if op == Op::Max { best.max(h) } else { best.min(h) };
-            }
-        }
-        best
-    }
-
-    type Naive = Vec<(isize, isize, f32)>;
-
-    proptest! {
-        #[test]
-        fn equals_the_definition(
-            width in 1usize..50, height in 1usize..20, out_width in 1usize..60,
-            out_height in 1usize..12, at in (-30isize..30, -12isize..12), reach in 0usize..14,
-            stride in 1usize..3, flat in 0f64..14.0, seed in any::<u64>(), max in any::<bool>(),
-        ) {
-            let mut state = seed;
-            let mut next = || {
-                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                ((state >> 33) % 1000) as f32 / 8.0
-            };
-            let cells: Vec<f32> = (0..width * height).map(|_| next()).collect();
-            let mask: Vec<bool> = (0..out_width * out_height).map(|_| next() < 8.0).collect();
-            let image = Image { width, cells: &cells };
-            let value = |d: f64| {
-                (d <= reach as f64).then_some(if d <= flat { 2.0 } else { d as f32 })
-            };
-            let mut all = Naive::new();
-            let r = reach as isize;
-            for j in (-r..=r).filter(|j| j.unsigned_abs() % stride == 0) {
-                for i in (-r..=r).filter(|i| i.unsigned_abs() % stride == 0) {
-                    if let Some(v) = value(((i * i + j * j) as f64).sqrt()) {
-                        all.push((i, j, v));
-                    }
-                }
-            }
-            let op = if max { Op::Max } else { Op::Min };
-            let none = if max { f32::NEG_INFINITY } else { f32::INFINITY };
-            let spans = Spans::of(&mask, out_width);
-            let mut out = vec![none; out_width * out_height];
-            let kernel = Kernel::of(reach, stride, value);
-            filter(op, &image, at, out_width, &mut out, &spans, &kernel);
-            for c in (0..out.len()).filter(|c| mask[*c]) {
-                let place = (c % out_width, c / out_width);
-                prop_assert_eq!(out[c], naive(op, &image, at, place, &all), "{:?}", place);
-            }
-        }
-    }
-
-    #[test]
-    fn grown_spans_hold_every_cell_within_reach() {
-        let mut mask = vec![false; 40 * 9];
-        mask[3 + 40 * 4] = true;
-        mask[39 + 40 * 8] = true;
-        let grown = Spans::of(&mask, 40).grown(2, 40);
-        let rows: Vec<_> = grown.rows().cloned().collect();
-        assert!(rows[1].is_empty());
-        assert_eq!(rows[2], vec![1usize..6; 1]);
-        assert_eq!(rows[6], [1..6, 37..40]);
-        assert_eq!(rows[8], vec![37usize..40; 1]);
-    }
-}
+#[path = "filter_tests.rs"]
+mod tests;

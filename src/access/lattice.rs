@@ -1,5 +1,6 @@
 //! The lattice of tips across a direction, and heights on it.
 
+use super::cells::Cells;
 use crate::base::{Aabb, DVec2, DVec3, ImagePlane};
 use crate::voxel::Frame;
 use std::ops::Range;
@@ -11,7 +12,7 @@ const ROUNDING_MM: f32 = 1e-4;
 pub struct DepthMap {
     pub(super) plane: ImagePlane,
     pub(super) lattice: Lattice,
-    pub(super) lowest: Vec<f32>,
+    pub(super) lowest: Cells,
 }
 
 impl DepthMap {

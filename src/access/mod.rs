@@ -19,6 +19,7 @@
 mod additive;
 #[cfg(test)]
 mod allowance_tests;
+mod cells;
 mod collateral;
 mod columns;
 mod depend;
@@ -35,7 +36,9 @@ mod support;
 mod survey;
 #[cfg(test)]
 mod tests;
+mod tiles;
 mod tilted;
+mod tops;
 mod voxel_tool;
 
 pub use additive::{CarrierTable, supported};

@@ -9,8 +9,8 @@
 
 use super::Scene;
 use super::depth::{cutter_map_of_grid, nozzle_map_of_grid};
-use super::filter::{Extreme, Largest, Least, running_extreme};
 use super::lattice::DepthMap;
+use super::tiles::Tiles;
 use crate::base::{DVec3, Direction};
 use crate::machine::{Tool, ToolKind};
 use crate::voxel::{BitGrid, Frame};
@@ -96,9 +96,10 @@ impl NullaryFnOnce for SiftSlab<'_> {
     #[inline(always)]
     fn call(self) {
         let SiftSlab { sieve, z, slab } = self;
+        let mut mixed = Vec::new();
         for y in (0..sieve.frame.dims[1]).step_by(BLOCK) {
             for w in 0..sieve.set.words_per_row() {
-                sieve.column(slab, [w, y, z]);
+                sieve.column(slab, [w, y, z], &mut mixed);
             }
         }
     }
@@ -126,9 +127,10 @@ struct Masks {
 }
 
 impl Sieve<'_> {
-    /// Eight blocks along x: word `w` of the rows from (y, z) on. `slab` starts at slice z.
+    /// Eight blocks along x: word `w` of the rows from (y, z) on. `slab` starts at slice z, `mixed` is
+    /// scratch.
     #[inline(always)]
-    fn column(&self, slab: &mut [u64], [w, y, z]: [usize; 3]) {
+    fn column(&self, slab: &mut [u64], [w, y, z]: [usize; 3], mixed: &mut Vec<[u8; 3]>) {
         let [nx, ny, nz] = self.frame.dims;
         let (wide, deep) = (BLOCK.min(ny - y), BLOCK.min(nz - z));
         // Voxels past the end of a row are none.
@@ -168,15 +170,32 @@ impl Sieve<'_> {
             }
             return;
         }
+        // What is to be asked singly is listed first: a loop that ends at a different voxel in every
+        // word keeps the machine from looking up the next while it waits for one.
+        mixed.clear();
+        let mut pass = [0; BLOCK * BLOCK];
         for k in 0..deep {
             for j in 0..wide {
                 let (m, asked) = (&masks[j / PARTS[1]][k / PARTS[1]], asked[j + BLOCK * k]);
-                let mut pass = asked & (whole | m.all);
-                if asked & m.mixed != 0 {
-                    let row = first + self.steps[1] * j as f64 + self.steps[2] * k as f64;
-                    pass |= self.singly(asked & m.mixed, row);
+                pass[j + BLOCK * k] = asked & (whole | m.all);
+                let mut rest = asked & m.mixed;
+                while rest != 0 {
+                    let start = rest.trailing_zeros() & !(PARTS[1] as u32 - 1);
+                    mixed.push([start as u8, j as u8, k as u8]);
+                    rest &= !(0b11 << start);
                 }
-                slab[(k * ny + y + j) * words + w] = pass;
+            }
+        }
+        for &[start, j, k] in mixed.iter() {
+            let row = first + self.steps[1] * f64::from(j) + self.steps[2] * f64::from(k);
+            let at = row + self.steps[0] * f64::from(start);
+            let pair = [at, at + self.steps[0]].map(|at| u64::from(self.map.reaches_at(at)));
+            pass[usize::from(j) + BLOCK * usize::from(k)] |= (pair[0] | pair[1] << 1) << start;
+        }
+        for k in 0..deep {
+            for j in 0..wide {
+                let of = j + BLOCK * k;
+                slab[(k * ny + y + j) * words + w] = pass[of] & asked[of];
             }
         }
     }
@@ -205,22 +224,6 @@ impl Sieve<'_> {
             }
         }
     }
-
-    /// The voxels of a word that the map reaches; the word's first voxel stands at `first`.
-    #[inline(always)]
-    fn singly(&self, asked: u64, first: DVec3) -> u64 {
-        let (mut rest, mut pass) = (asked, 0);
-        while rest != 0 {
-            let start = rest.trailing_zeros() as usize & !(PARTS[1] - 1);
-            let mut at = first + self.steps[0] * start as f64;
-            for i in start..start + PARTS[1] {
-                pass |= u64::from(self.map.reaches_at(at)) << i;
-                at += self.steps[0];
-            }
-            rest &= !(0b11 << start);
-        }
-        pass & asked
-    }
 }
 
 /// What the bounds tell of eight cubes of voxels, a bit each.
@@ -245,12 +248,22 @@ struct Bounds {
     highest: [f32; 8],
     /// The last first cell of a cube that the map holds all cells of.
     last: [f32; 2],
-    /// With the margin.
+    /// With the margin; at the end that of a cube of which nothing is known.
     range: Vec<(f32, f32)>,
 }
 
 /// What hides the rounding of places, cells: far above that of f32 up to some thousand cells.
 const HAIR: f64 = 2e-3;
+
+/// The integer below a number from 0 to 2²¹, by the rounding of additions: a conversion of floats
+/// guards against what is no integer, one number at a time. Of an integer it may be the one before:
+/// a tile's range reaches far enough for a cube that starts where the next one does.
+#[inline(always)]
+fn below(x: f32) -> i32 {
+    const ONE_AND_A_HALF_TIMES_2_TO_23: f32 = 12_582_912.0;
+    let rounded = (x - 0.5) + ONE_AND_A_HALF_TIMES_2_TO_23;
+    (rounded.to_bits() as i32).wrapping_sub(ONE_AND_A_HALF_TIMES_2_TO_23.to_bits() as i32)
+}
 
 impl Bounds {
     /// Those of blocks along a word, of the parts of a block and of the parts of a part.
@@ -300,14 +313,18 @@ impl Bounds {
         };
         // The cell that holds a place is the floor of what lies half a cell further.
         let last = |a: usize| n[a] as f64 - 1.0 - (reach[a].1 - reach[a].0) - 2.0 * HAIR;
+        let tiles_along_u = tiles.n[0] as i32;
+        let mut range = tiles.widened(spans, MARGIN_MM);
+        // What is said of a cube that lies, in part, where no cells are.
+        range.push((f32::NEG_INFINITY, f32::INFINITY));
         Bounds {
             per_cell: 1.0 / tile as f32,
-            nu: tiles.n[0] as i32,
+            nu: tiles_along_u,
             first: [0, 1].map(|a| to(a, reach[a].0 + 0.5 - HAIR)),
             lowest: to(2, reach[2].0),
             highest: to(2, reach[2].1),
             last: [last(0) as f32, last(1) as f32],
-            range: tiles.widened(spans),
+            range,
         }
     }
 
@@ -315,66 +332,22 @@ impl Bounds {
     #[inline(always)]
     fn verdicts(&self, at: DVec3) -> Told {
         let (u, v, z) = (at.x as f32, at.y as f32, at.z as f32);
-        let (mut tile, mut known) = ([0; 8], [false; 8]);
-        for c in 0..8 {
+        let mut tile = [0; 8];
+        for (c, tile) in tile.iter_mut().enumerate() {
             let (u, v) = (u + self.first[0][c], v + self.first[1][c]);
-            known[c] = u >= 0.0 && v >= 0.0 && u <= self.last[0] && v <= self.last[1];
-            tile[c] = (u * self.per_cell) as i32 + self.nu * (v * self.per_cell) as i32;
+            let known = (u >= 0.0) & (v >= 0.0) & (u <= self.last[0]) & (v <= self.last[1]);
+            let row = self.nu.wrapping_mul(below(v * self.per_cell));
+            let at = below(u * self.per_cell).wrapping_add(row);
+            *tile = if known { at as u32 } else { u32::MAX };
         }
+        let unknown = self.range.len() - 1;
         let mut told = Told { some: 0, all: 0 };
-        for c in 0..8 {
-            let range = self.range.get(tile[c] as usize).filter(|_| known[c]);
-            let (least, most) = range.copied().unwrap_or((f32::NEG_INFINITY, f32::INFINITY));
+        for (c, tile) in tile.iter().enumerate() {
+            let (least, most) = self.range[(*tile as usize).min(unknown)];
             told.some |= u8::from(z + self.highest[c] >= least) << c;
             told.all |= u8::from(z + self.lowest[c] > most) << c;
         }
         told
-    }
-}
-
-/// Extremes of square tiles of cells.
-struct Tiles {
-    /// Tiles along u and v.
-    n: [usize; 2],
-    least: Vec<f32>,
-    largest: Vec<f32>,
-}
-
-impl Tiles {
-    /// Of tiles of TILE cells along each axis; the cells are given by their own extremes.
-    #[inline(always)]
-    fn of<const TILE: usize>(least: &[f32], largest: &[f32], [nu, nv]: [usize; 2]) -> Tiles {
-        let (width, n) = (nu.max(1), [nu.div_ceil(TILE), nv.div_ceil(TILE)]);
-        let mut across = [vec![0.0; n[0] * TILE], vec![0.0; n[0] * TILE]];
-        let [mut low, mut high] =
-            [Vec::with_capacity(n[0] * n[1]), Vec::with_capacity(n[0] * n[1])];
-        for (least, largest) in least.chunks(width * TILE).zip(largest.chunks(width * TILE)) {
-            let [lows, highs] = &mut across;
-            lows.fill(Least::NONE);
-            highs.fill(Largest::NONE);
-            for (least, largest) in least.chunks(width).zip(largest.chunks(width)) {
-                lows.iter_mut().zip(least).for_each(|(a, c)| *a = Least::of(*a, *c));
-                highs.iter_mut().zip(largest).for_each(|(a, c)| *a = Largest::of(*a, *c));
-            }
-            let least = |t: &[f32]| t.iter().fold(Least::NONE, |a, c| Least::of(a, *c));
-            let largest = |t: &[f32]| t.iter().fold(Largest::NONE, |a, c| Largest::of(a, *c));
-            low.extend(lows.chunks_exact(TILE).map(least));
-            high.extend(highs.chunks_exact(TILE).map(largest));
-        }
-        Tiles { n, least: low, largest: high }
-    }
-
-    /// Of each the extremes of those from it on, `spans` of them along either axis.
-    #[inline(always)]
-    fn widened(mut self, spans: [usize; 2]) -> Vec<(f32, f32)> {
-        let room = &mut Vec::new();
-        // What runs on from a row's end into the next only widens the range there.
-        for (stride, span) in [(1, spans[0]), (self.n[0], spans[1])] {
-            running_extreme::<Least>(&mut self.least, room, stride, span);
-            running_extreme::<Largest>(&mut self.largest, room, stride, span);
-        }
-        let range = self.least.iter().zip(&self.largest);
-        range.map(|(least, most)| (least - MARGIN_MM, most + MARGIN_MM)).collect()
     }
 }
 

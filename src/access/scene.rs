@@ -1,4 +1,5 @@
-use crate::base::DVec3;
+use super::tops::axis_of;
+use crate::base::{DVec3, Direction};
 use crate::voxel::{BitGrid, Frame};
 
 /// Obstacle points for the depth engine: the boundary voxels of a state and the fixed points of
@@ -12,6 +13,20 @@ pub struct Scene {
 impl Scene {
     pub fn new(frame: &Frame, state: &BitGrid, fixed: &[DVec3]) -> Scene {
         Scene { frame: *frame, voxels: state.boundary(), fixed: fixed.to_vec() }
+    }
+
+    /// The obstacles as tools along one direction meet them, made in the least time. Along a grid axis
+    /// the depth engine looks at the highest voxel of each column alone, and whether those within
+    /// are there makes no difference.
+    pub(super) fn along(
+        frame: &Frame,
+        state: BitGrid,
+        fixed: &[DVec3],
+        direction: Direction,
+    ) -> Scene {
+        let on_axis = axis_of(direction.vec()).is_some();
+        let voxels = if on_axis { state } else { state.boundary() };
+        Scene { frame: *frame, voxels, fixed: fixed.to_vec() }
     }
 
     /// The obstacles as a tool along +z meets them: of each column of voxels only the highest.

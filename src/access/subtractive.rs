@@ -37,7 +37,7 @@ pub fn over_cut(
     let mut rounds: usize = 0;
     while !region.is_empty() {
         rounds += 1;
-        let scene = Scene::new(frame, &state.minus(&region), fixed);
+        let scene = Scene::along(frame, state.minus(&region), fixed, direction);
         let mut next = reachable(&cutter_map(&scene, &region, tool, direction), &region, frame);
         if next == region {
             break;

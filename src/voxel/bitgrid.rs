@@ -16,6 +16,10 @@ pub struct BitGrid {
 
 impl PartialEq for BitGrid {
     fn eq(&self, other: &BitGrid) -> bool {
+        // Most grids store all rows.
+        if self.dims == other.dims && self.is_whole() && other.is_whole() {
+            return self.words == other.words;
+        }
         self.dims == other.dims && self.is_subset_of(other) && other.is_subset_of(self)
     }
 }
@@ -242,23 +246,46 @@ impl BitGrid {
 
     /// A ∪ B.
     pub fn or(&self, other: &BitGrid) -> BitGrid {
-        let mut g = self.clone();
-        g.union_with(other);
-        g
+        self.zipped(other, |a, b| a | b).unwrap_or_else(|| {
+            let mut g = self.clone();
+            g.union_with(other);
+            g
+        })
     }
 
     /// A ∩ B.
     pub fn and(&self, other: &BitGrid) -> BitGrid {
-        let mut g = self.clone();
-        g.intersect_with(other);
-        g
+        self.zipped(other, |a, b| a & b).unwrap_or_else(|| {
+            let mut g = self.clone();
+            g.intersect_with(other);
+            g
+        })
     }
 
     /// A − B.
     pub fn minus(&self, other: &BitGrid) -> BitGrid {
-        let mut g = self.clone();
-        g.subtract(other);
-        g
+        self.zipped(other, |a, b| a & !b).unwrap_or_else(|| {
+            let mut g = self.clone();
+            g.subtract(other);
+            g
+        })
+    }
+
+    /// The grid of `f` of both words, when both store all of theirs: in one pass, without a copy
+    /// first.
+    fn zipped(&self, other: &BitGrid, f: impl Fn(u64, u64) -> u64 + Sync) -> Option<BitGrid> {
+        assert_eq!(self.dims, other.dims, "grids of one plan share one frame");
+        if !self.is_whole() || !other.is_whole() {
+            return None;
+        }
+        let mut out = BitGrid::new(self.dims);
+        out.words
+            .par_chunks_mut(CHUNK)
+            .zip(self.words.par_chunks(CHUNK).zip(other.words.par_chunks(CHUNK)))
+            .for_each(|(o, (a, b))| {
+                o.iter_mut().zip(a.iter().zip(b)).for_each(|(o, (a, b))| *o = f(*a, *b));
+            });
+        Some(out)
     }
 
     /// |A ∩ B| without making it.
@@ -324,18 +351,25 @@ impl BitGrid {
 
     /// Inclusive box of the solid voxels.
     pub fn extent(&self) -> Option<([usize; 3], [usize; 3])> {
-        let mut span: Option<([usize; 3], [usize; 3])> = None;
-        for (y, z, x, n) in self.runs() {
-            let (lo, hi) = ([x, y, z], [x + n - 1, y, z]);
+        let (ny, mut all) = (self.dims[1], vec![0u64; self.words_per_row]);
+        let mut span: Option<([usize; 2], [usize; 2])> = None;
+        for r in self.stored_rows() {
+            let (y, z) = (r % ny, r / ny);
+            let row = self.row(y, z);
+            if row.iter().fold(0, |any, w| any | w) == 0 {
+                continue;
+            }
+            all.iter_mut().zip(row).for_each(|(all, w)| *all |= w);
             span = Some(match span {
-                None => (lo, hi),
-                Some((a, b)) => (
-                    std::array::from_fn(|i| a[i].min(lo[i])),
-                    std::array::from_fn(|i| b[i].max(hi[i])),
-                ),
+                None => ([y, z], [y, z]),
+                Some(([a, b], [c, _])) => ([a.min(y), b], [c.max(y), z]),
             });
         }
-        span
+        let ([y, z], [last_y, last_z]) = span?;
+        let (first, last) = (all.iter().position(|w| *w != 0)?, all.iter().rposition(|w| *w != 0)?);
+        let x = first * 64 + all[first].trailing_zeros() as usize;
+        let last_x = last * 64 + 63 - all[last].leading_zeros() as usize;
+        Some(([x, y, z], [last_x, last_y, last_z]))
     }
 
     /// The voxels that are solid or have a solid face, edge or corner neighbour.
@@ -456,6 +490,20 @@ mod tests {
             whole.iter_ones().for_each(|v| some.set(v, true));
             prop_assert_eq!(some.words(), whole.words());
             prop_assert_eq!(&some, &whole);
+        }
+
+        #[test]
+        fn the_extent_is_that_of_the_voxels(g in grid(), keep in 0usize..1000) {
+            let some = BitGrid::from_fn(g.dims(), |v| {
+                g.get(v) && (v[0] * 7 + v[1] * 5 + v[2] * 3) % 97 <= keep / 10
+            });
+            let ones: Vec<_> = some.iter_ones().collect();
+            let of = |a: usize, last: bool| {
+                let all = ones.iter().map(|v| v[a]);
+                if last { all.max() } else { all.min() }.unwrap_or_default()
+            };
+            let all = [false, true].map(|last| [0, 1, 2].map(|a| of(a, last)));
+            prop_assert_eq!(some.extent(), (!ones.is_empty()).then_some((all[0], all[1])));
         }
 
         #[test]
