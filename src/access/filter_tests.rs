@@ -68,7 +68,7 @@ proptest! {
         let mut cells: Vec<f32> =
             (0..width * height).map(|c| (slope * (c % width / 20)) as f32).collect();
         for i in 0..bumps {
-            let c = (seed >> (8 * i)) as usize * 37 % cells.len();
+            let c = (seed >> (8 * i)) as usize % cells.len() * 37 % cells.len();
             cells[c] = if i % 2 == 0 { 25.0 } else { -25.0 };
         }
         let image = Image { width, cells: &cells };
