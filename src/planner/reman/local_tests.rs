@@ -4,7 +4,7 @@ use super::clip::Clip;
 use super::coarse::Coarse;
 use super::local::{Element, Scope};
 use super::refine::refine;
-use super::round::volumes;
+use super::round::{Attempt, volumes};
 use super::setting::Setting;
 use super::{Options, plane_normals};
 use crate::base::{Ctx, DVec3, Direction};
@@ -108,4 +108,23 @@ fn what_must_be_cleared_is_cleared_at_the_least_loss() {
     }
     // The level plane under the lower one clears both.
     assert!(lost.count() <= 8 * 20 * 8, "{}", lost.count());
+}
+
+#[test]
+fn a_pocket_open_below_counts_beside_other_placements() {
+    let job = job();
+    let nothing = BitGrid::new(job.frame.dims);
+    let excess = slice(&job, 1..2);
+    let made = Attempt {
+        clips: Vec::new(),
+        volumes: volumes(&job, &[]),
+        steps: Vec::new(),
+        cuts: 0,
+        stock: job.initial.clone(),
+        excess: excess.clone(),
+        deficit: nothing,
+        below: excess,
+    };
+    assert_eq!(made.rank(&job).0, 0, "no plane mends it");
+    assert!(made.standing(&job, made.volumes.reused.count()).class > 0);
 }

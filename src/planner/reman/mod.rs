@@ -214,7 +214,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     let (first, mut report) = one_round(&setting, options, ctx)?;
     let mut left = first.residual();
     let mut worth = first.worth(job);
-    let mut rank = first.rank(job);
+    let mut standing = first.standing(job, first.volumes.reused.count());
     let mut reasons = first.reasons(&setting);
     let mut steps = first.steps;
     for round in 2..=options.rounds {
@@ -237,7 +237,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         left = made.residual();
         worth = made.worth(job);
         // What counts as given up is what does not stand of the real initial part.
-        rank = made.rank_with(job, next.old_of(&made.volumes.reused).count());
+        standing = made.standing(job, next.old_of(&made.volumes.reused).count());
         reasons = made.reasons(&next);
         report.planes_global += told.planes_global;
         report.planes_local += told.planes_local;
@@ -253,7 +253,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         }));
     }
     report.notes.extend(reasons);
-    report.standing = Standing { class: rank.0, mm3: rank.1 as f64 * job.frame.voxel_volume() };
+    report.standing = standing;
     let holdings = setting.numbered(&mut steps);
     Ok((Plan { holdings, steps }, report))
 }

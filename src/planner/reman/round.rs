@@ -6,7 +6,7 @@ use super::cutting::cut_blocks;
 use super::printing::{Printing, Share, Wanted, print_blocks};
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
-use super::{MENDABLE_SHARE, Options, Start};
+use super::{MENDABLE_SHARE, Options, Standing, Start};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
@@ -73,19 +73,15 @@ impl Attempt {
     /// they give up and, [`RESIDUAL_WEIGHT`] times, by what they leave, the others by what they
     /// leave.
     pub fn rank(&self, job: &Job) -> (u8, usize) {
-        self.rank_with(job, self.volumes.reused.count())
+        ranked(job, self.volumes.reused.count(), self.residual())
     }
 
-    /// The same where only so many voxels count as reused.
-    pub fn rank_with(&self, job: &Job, reused: usize) -> (u8, usize) {
-        let residual = self.residual();
-        let given_up = job.target.count().saturating_sub(reused);
-        let valid = residual as f64 <= job.rules.deviation * job.target.count() as f64;
-        match (residual, valid) {
-            (0, _) => (0, given_up),
-            (_, true) => (1, given_up + RESIDUAL_WEIGHT * residual),
-            (n, false) => (2, n),
-        }
+    /// How it stands beside the plans of other placements of the target when so many voxels are
+    /// reused. Another placement may have no pockets that are open only below, so here all that is
+    /// left counts.
+    pub fn standing(&self, job: &Job, reused: usize) -> Standing {
+        let (class, voxels) = ranked(job, reused, self.left());
+        Standing { class, mm3: voxels as f64 * job.frame.voxel_volume() }
     }
 
     /// Voxels of its additive steps and those it misses.
@@ -105,6 +101,17 @@ impl Attempt {
         let (rank, residual) = (self.rank(job).0, self.residual());
         let share = (COMPLETION_SHARE * job.target.count() as f64) as usize;
         (rank < 2).then_some(share.max(RESIDUAL_WEIGHT * residual))
+    }
+}
+
+/// What [`Attempt::rank`] says of so many voxels reused and left.
+fn ranked(job: &Job, reused: usize, left: usize) -> (u8, usize) {
+    let given_up = job.target.count().saturating_sub(reused);
+    let valid = left as f64 <= job.rules.deviation * job.target.count() as f64;
+    match (left, valid) {
+        (0, _) => (0, given_up),
+        (_, true) => (1, given_up + RESIDUAL_WEIGHT * left),
+        (n, false) => (2, n),
     }
 }
 
