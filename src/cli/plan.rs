@@ -19,6 +19,7 @@ use hmplan::planner::setup::Candidate;
 use hmplan::report;
 use hmplan::verify::verify;
 use hmplan::voxel::{BitGrid, surface};
+use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 use std::path::Path;
 use std::sync::Arc;
@@ -366,8 +367,7 @@ fn write_beside(
 
 /// The workpiece after each step, and what was reused, removed and added in all.
 fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Result<(), Failure> {
-    ctx.begin("writing states", plan.steps.len() as u64 + 3);
-    let mesh = |name: &str, grid: &BitGrid| -> Result<(), Failure> {
+    let mesh = |(name, grid): &(String, BitGrid)| -> Result<(), Failure> {
         ctx.check()?;
         let surface = surface(grid, &job.frame)
             .map_err(|e| Failure::Io(format!("the surface of {name} cannot be made ({e})")))?;
@@ -378,6 +378,7 @@ fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Res
     let most = (MOST_STATE_VOXELS / job.frame.voxel_count().max(1)).clamp(1, MOST_STATES);
     let stride = plan.steps.len().div_ceil(most).max(1);
     let mut state = job.initial.clone();
+    let mut shown: Vec<(String, BitGrid)> = Vec::new();
     for (i, step) in plan.steps.iter().enumerate() {
         let kind = match step.kind {
             StepKind::Subtractive => {
@@ -391,14 +392,14 @@ fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Res
         };
         // Of thousands of steps nobody looks at each.
         if (i + 1) % stride == 0 || i + 1 == plan.steps.len() {
-            mesh(&format!("{:02}-{kind}", i + 1), &state)?;
+            shown.push((format!("{:02}-{kind}", i + 1), state.clone()));
         }
     }
     let end = end_state(job, plan);
-    for (name, grid) in [("reused", &end.reused), ("removed", &end.removed), ("added", &end.added)]
-    {
-        mesh(name, grid)?;
-    }
+    let totals = [("reused", end.reused), ("removed", end.removed), ("added", end.added)];
+    shown.extend(totals.map(|(name, grid)| (name.into(), grid)));
+    ctx.begin("writing states", shown.len() as u64);
+    shown.par_iter().try_for_each(mesh)?;
     ctx.end();
     Ok(())
 }

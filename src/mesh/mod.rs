@@ -60,7 +60,7 @@ mod write;
 
 pub use error::{Defect, Place, ReadError};
 pub use health::Health;
-pub use nearest::{NearestTriangle, SurfacePoint};
+pub use nearest::{NearestTriangle, SurfacePoint, closest_on_triangle};
 pub use read::{Format, LoadedMesh, ReadOptions, read};
 pub use tri::{InvalidMesh, TriMesh};
 pub use write::{write_obj, write_stl};

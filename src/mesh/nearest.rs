@@ -102,7 +102,7 @@ impl<'a> NearestTriangle<'a> {
 }
 
 /// Closest point of a triangle, by the region of the barycentric plane the point falls into.
-fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
+pub fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     let n = (b - a).cross(c - a);
     let inside = |u: DVec3, v: DVec3| (v - u).cross(p - u).dot(n) >= 0.0;
     if inside(a, b) && inside(b, c) && inside(c, a) && n.length_squared() > 0.0 {

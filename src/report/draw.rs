@@ -6,6 +6,7 @@
 use crate::base::{DVec3, Direction};
 use crate::plan::StepKind;
 use crate::voxel::{BitGrid, Frame};
+use rayon::prelude::*;
 use std::fmt::Write as _;
 
 /// Longer side of a drawing in cells: legible at 2 to 3 screen pixels a cell, and below 60 kB.
@@ -33,10 +34,9 @@ pub fn draw_step(
     direction: Direction,
 ) -> Drawing {
     let marks = Marks::of(frame, stays, region);
-    let best = VIEWS
-        .iter()
-        .map(|view| marks.image(view))
-        .reduce(|a, b| if b.region_cells() > a.region_cells() { b } else { a });
+    let images: Vec<Image> = VIEWS.par_iter().map(|view| marks.image(view)).collect();
+    let best =
+        images.into_iter().reduce(|a, b| if b.region_cells() > a.region_cells() { b } else { a });
     match best {
         Some(image) => Drawing { svg: image.svg(kind, direction), view: image.view.name },
         None => Drawing { svg: String::new(), view: "" },

@@ -76,14 +76,18 @@ impl End {
     }
 
     /// Tip height at which the end, its axis through `at`, touches the triangle; none when it
-    /// passes by.
-    fn touch(&self, at: DVec2, t: &[DVec3; 3]) -> Option<f64> {
+    /// passes by. Edges below `above` are passed over.
+    fn touch(&self, at: DVec2, t: &[DVec3; 3], above: f64) -> Option<f64> {
         let mut best = f64::NEG_INFINITY;
         if let Some(z) = self.on_face(at, t) {
             best = best.max(z);
         }
         for i in 0..3 {
-            if let Some(z) = self.on_edge(at, t[i], t[(i + 1) % 3]) {
+            let (a, b) = (t[i], t[(i + 1) % 3]);
+            if a.z.max(b.z) <= above.max(best) {
+                continue;
+            }
+            if let Some(z) = self.on_edge(at, a, b) {
                 best = best.max(z);
             }
         }
@@ -128,7 +132,8 @@ impl End {
             return None;
         }
         let slope = (b.z - a.z) / length;
-        let height = |x: f64| a.z + slope * (x - start) - self.lower(x.hypot(apart));
+        let height =
+            |x: f64| a.z + slope * (x - start) - self.lower((x * x + apart * apart).sqrt());
         let x = match *self {
             End::Flat { .. } => return Some(height_flat(a.z, slope, start, low, high)),
             // The circle that the ball cuts in the edge's upright plane touches a line of this
@@ -235,11 +240,16 @@ impl DropCutter {
         for c in self.cells(at - reach, at + reach) {
             for &t in &self.lists[self.starts[c] as usize..self.starts[c + 1] as usize] {
                 let corners = &self.triangles[t as usize];
+                let [a, b, c] = *corners;
                 // The tip is never above the triangle's top; the others are lower still.
-                if corners[0].z.max(corners[1].z).max(corners[2].z) <= best {
+                if a.z.max(b.z).max(c.z) <= best {
                     break;
                 }
-                if let Some(z) = end.touch(at, corners) {
+                let (low, high) = (a.min(b).min(c).truncate(), a.max(b).max(c).truncate());
+                if low.cmpgt(at + reach).any() || high.cmplt(at - reach).any() {
+                    continue;
+                }
+                if let Some(z) = end.touch(at, corners, best) {
                     best = best.max(z);
                 }
             }

@@ -12,13 +12,11 @@
 use super::drop::{DropCutter, End};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::mill::{Free, Work};
+use super::near::NEAR_PITCH;
 use crate::base::{DVec2, DVec3};
-use crate::mesh::{NearestTriangle, TriMesh};
+use crate::mesh::TriMesh;
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
-
-/// A boundary voxel's centre lies this many pitches from its surface at most: √3/2.
-const NEAR_PITCH: f64 = 0.87;
 
 /// Pieces with shorter sides, in pitches, are judged by their corners and middle.
 const JUDGED_PITCH: f64 = 4.0;
@@ -68,16 +66,15 @@ impl Exact {
         for (mesh, solid) in meshes.iter().zip(&stands) {
             triangles.extend(standing(mesh, solid, work, near, far));
         }
-        let nearest = meshes.map(|m| NearestTriangle::new(m, NEAR_PITCH * h));
         let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
         let plane = lattice.plane;
         let bare: Vec<DVec3> = shell
             .par_iter()
             .map(|v| (*v, work.frame.center(*v)))
             .filter(|(_, p)| within(plane.across(*p)))
-            .filter(|(v, p)| {
+            .filter(|(v, _)| {
                 let side = usize::from(!work.job.target.get(*v));
-                nearest[side].query(*p).is_none_or(|q| q.distance > NEAR_PITCH * h)
+                !work.surfaces[side].get(*v)
             })
             .map(|(_, p)| p)
             .collect();

@@ -52,6 +52,8 @@ pub(super) struct Work<'a> {
     pub after: &'a BitGrid,
     /// Pedestal and table.
     pub fixed: &'a [DVec3],
+    /// Voxels at the surface of M* and at that of M.
+    pub surfaces: &'a [BitGrid; 2],
 }
 
 pub(super) struct Milled {

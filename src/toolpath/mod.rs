@@ -19,6 +19,7 @@ mod image;
 mod infill;
 mod mill;
 mod moves;
+mod near;
 mod piece;
 mod polygons;
 mod print;
@@ -171,12 +172,14 @@ pub fn for_unverified(job: &Job, plan: &Plan, ctx: &Ctx) -> Result<Toolpaths, To
 
 fn plan_paths(job: &Job, plan: &Plan, ctx: &Ctx) -> Result<Vec<Toolpath>, ToolpathError> {
     let replay = Replay::of(job, plan)?;
+    let meshes = [&job.target_mesh, &job.initial_mesh];
+    let surfaces = meshes.map(|m| near::voxels_near(m, &job.frame));
     ctx.begin("toolpaths", plan.steps.len() as u64);
     let paths = (0..plan.steps.len())
         .into_par_iter()
         .map(|i| {
             ctx.check()?;
-            let path = step_path(job, plan, &replay, i)?;
+            let path = step_path(job, plan, &replay, &surfaces, i)?;
             ctx.advance(1);
             Ok(path)
         })
@@ -185,7 +188,13 @@ fn plan_paths(job: &Job, plan: &Plan, ctx: &Ctx) -> Result<Vec<Toolpath>, Toolpa
     paths
 }
 
-fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpath, ToolpathError> {
+fn step_path(
+    job: &Job,
+    plan: &Plan,
+    replay: &Replay,
+    surfaces: &[BitGrid; 2],
+    i: usize,
+) -> Result<Toolpath, ToolpathError> {
     let step = &plan.steps[i];
     let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
     let tool: &Tool = job.tool(&step.tool).ok_or_else(no_tool)?;
@@ -197,6 +206,7 @@ fn step_path(job: &Job, plan: &Plan, replay: &Replay, i: usize) -> Result<Toolpa
         before: &replay.states[i],
         after: &replay.states[i + 1],
         fixed: &replay.fixed[i],
+        surfaces,
     };
     let (moves, safe_height, mut figures, bead_mm2, nominal) = match step.kind {
         StepKind::Subtractive => {
