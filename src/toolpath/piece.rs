@@ -5,7 +5,8 @@
 //! which of it is this block's:
 //!
 //! ```text
-//! outline = S(M*) ∩ (¬S(M) ∪ back) ∩ (grown − other)
+//! outline = (S(M*) ∪ aside) ∩ (¬S(M) ∪ back) ∩ (grown − other)
+//! aside   = voxels of the block outside M*, outlined: supports
 //! back    = voxels of the block inside M, outlined
 //! grown   = voxels of the block, outlined, grown by REACH
 //! other   = voxels of other blocks next to it, outlined
@@ -18,7 +19,7 @@
 use super::cross::Sections;
 use super::image::Lattice;
 use super::mill::Work;
-use super::polygons::{difference, intersection, offset, to_paths, union};
+use super::polygons::{difference, intersection, offset, simple, to_paths, union};
 use super::slice::{Outline, section};
 use crate::base::{DVec2, ImagePlane};
 use crate::voxel::{BitGrid, Frame};
@@ -36,6 +37,7 @@ pub(super) struct Piece<'a> {
     initial: Option<Sections<'a>>,
     /// The block is all there is to add: nothing must be told apart.
     alone: bool,
+    aside: BitGrid,
     back: BitGrid,
     other: BitGrid,
 }
@@ -56,6 +58,7 @@ impl<'a> Piece<'a> {
             target: Sections::new(&job.target_mesh, plane),
             initial: Sections::new(&job.initial_mesh, plane),
             alone: *region == job.target,
+            aside: region.minus(&job.target),
             back: region.and(&job.initial),
             other,
         }
@@ -85,7 +88,10 @@ impl<'a> Piece<'a> {
                 None => return self.voxels(self.region, z),
             },
         };
-        let mut own = union(&to_paths(&target), &PathsD::new());
+        // Cut away again: no need to follow every stair of the voxels.
+        let aside = simple(&self.voxels(&self.aside, z), self.frame.pitch / 4.0);
+        // A slit between the two is no fault: supports are to come off.
+        let mut own = union(&to_paths(&target), &aside);
         if !initial.is_empty() {
             let back = self.voxels(&self.back, z);
             let kept = difference(&to_paths(&initial), &back);
@@ -94,7 +100,11 @@ impl<'a> Piece<'a> {
         if self.alone {
             return own;
         }
-        let grown = offset(&self.voxels(self.region, z), REACH * self.frame.pitch);
+        let mut whole = self.voxels(self.region, z);
+        if !aside.is_empty() {
+            whole = simple(&whole, self.frame.pitch / 8.0);
+        }
+        let grown = offset(&whole, REACH * self.frame.pitch);
         let other = self.voxels(&self.other, z);
         intersection(&own, &difference(&grown, &other))
     }

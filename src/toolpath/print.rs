@@ -3,7 +3,8 @@
 //! Method: layers across the direction from the block's base to its top, the last one as high as
 //! what is left; in each the block's exact outline at mid height (see `piece`) is inset for the
 //! perimeters; where the layers above or below leave it bare it is filled whole, elsewhere by the
-//! pattern. The tip rides on the top of its layer. Travels draw the filament back and rise where
+//! pattern. Where a step's outlines are so narrow that its perimeters would lie half on each other,
+//! they leave out what is narrower than a bead and a half. The tip rides on the top of its layer. Travels draw the filament back and rise where
 //! the nozzle would meet the state before the step.
 //!
 //! Guarantees: every bead's centre line lies inside the section, half a bead from its outline (less
@@ -21,7 +22,7 @@ use super::process::{CLEARANCE_MM, Printing};
 use super::slice::{Outline, area};
 use crate::base::{DVec2, DVec3};
 use crate::machine::Seam;
-use clipper2_rust::PathsD;
+use clipper2_rust::{PathD, PathsD, PointD};
 use rayon::prelude::*;
 
 /// By how much of its width a bead may stand out of its outline. Zero would lose every wall that is
@@ -39,6 +40,10 @@ const LAST_LAYER: f64 = 0.5;
 /// Least mean width of a piece that gets a single bead, in beads: below, more would be laid than
 /// twice what is wanted.
 const LEAST_WIDTH: f64 = 0.5;
+
+/// What loops may lay on the whole, as a multiple of what they cover: more, and narrow places get
+/// single beads in place of two that lie half on each other. Below what the program's check allows.
+const MOST_LAPPED: f64 = 1.1;
 
 /// Corners of a straight thin piece at most; the search for its ends is quadratic.
 const MOST_CORNERS: usize = 200;
@@ -59,6 +64,9 @@ struct Layer {
     loops: Vec<Line>,
     fill: Vec<Line>,
     thin_mm3: f64,
+    /// What the loops lay and the area that they cover at most, mm².
+    laid: f64,
+    room: f64,
     /// What travels keep inside of.
     around: Vec<Outline>,
 }
@@ -111,6 +119,11 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     if layers.iter().all(|l| l.loops.is_empty() && l.fill.is_empty()) {
         // A speck of which the meshes leave nothing as wide as a bead: the plan has it all the same.
         layers = self::layers(&slabs, process, |z| piece.coarse(z));
+    }
+    let total = |of: fn(&Layer) -> f64| layers.iter().map(of).sum::<f64>();
+    if total(|l| l.laid) > MOST_LAPPED * total(|l| l.room) {
+        let narrow = Printing { neck: process.width / 4.0, ..*process };
+        layers = self::layers(&slabs, &narrow, |z| piece.outline(z));
     }
     let thin_mm3 = layers.iter().map(|l| l.thin_mm3).sum::<f64>();
     let free = Free::around(work, work.before, h);
@@ -186,7 +199,7 @@ fn beads(
     let first = w * (0.5 - INSET_SLACK);
     let mut loops: Vec<Line> = Vec::new();
     for k in 0..process.perimeters.max(1) {
-        let inset = simple(&offset(section, -(first + k as f64 * w)), CHORD_MM);
+        let inset = simple(&opened(section, first + k as f64 * w, process.neck), CHORD_MM);
         for mut line in of_paths(&inset).into_iter().filter(|l| l.len() >= 2) {
             line.push(line[0]);
             loops.push(line);
@@ -204,8 +217,10 @@ fn beads(
     if !bare.is_empty() {
         lines.extend(hatch(&of_paths(bare), w, !layer.is_multiple_of(2), w / 2.0));
     }
-    let opened = offset(&offset(section, -first), first);
-    let thin = difference(section, &opened);
+    let wide = offset(&opened(section, first, process.neck), first);
+    let laid = w * loops.iter().map(length_of).sum::<f64>();
+    let room = area(&outlines(&wide));
+    let thin = difference(section, &wide);
     let (single, alone) = spines(&thin, w);
     lines.extend(single);
     let thin = area(&outlines(&thin)) - alone;
@@ -214,7 +229,14 @@ fn beads(
     // Just outside the outermost bead, so that its ends lie within.
     let around = simple(&offset(section, -0.8 * first), COMB_MM);
     let thin_mm3 = thin.max(0.0) * slab.height;
-    Layer { z: slab.tip, feed, loops, fill: lines, thin_mm3, around: of_paths(&around) }
+    let around = of_paths(&around);
+    Layer { z: slab.tip, feed, loops, fill: lines, thin_mm3, laid, room, around }
+}
+
+/// A section inset by `by` mm, without what is narrower than two necks then.
+fn opened(section: &PathsD, by: f64, neck: f64) -> PathsD {
+    let inset = offset(section, -(by + neck));
+    if neck > 0.0 { offset(&inset, neck) } else { inset }
 }
 
 /// Single beads along straight pieces too thin for a perimeter, and the area they stand for.
@@ -237,13 +259,26 @@ fn spines(thin: &PathsD, w: f64) -> (Vec<Line>, f64) {
         }
         let back = (b - a) * (w / 2.0 / length).min(0.25);
         let line = vec![a + back, b - back];
-        let within: f64 = clip_lines(std::slice::from_ref(&line), thin).iter().map(length_of).sum();
+        // Thousands of pieces lie elsewhere.
+        let near: PathsD = thin.iter().filter(|path| reaches(path, &line)).cloned().collect();
+        let within: f64 =
+            clip_lines(std::slice::from_ref(&line), &near).iter().map(length_of).sum();
         if within > 0.9 * length_of(&line) {
             lines.push(line);
             sum += filled;
         }
     }
     (lines, sum)
+}
+
+/// Whether the boxes of a path and of a line's ends meet.
+fn reaches(path: &PathD, line: &Line) -> bool {
+    let (low, high) = (line[0].min(line[1]), line[0].max(line[1]));
+    let over = |by: &dyn Fn(&PointD) -> bool| path.iter().all(by);
+    !(over(&|p| p.x < low.x)
+        || over(&|p| p.x > high.x)
+        || over(&|p| p.y < low.y)
+        || over(&|p| p.y > high.y))
 }
 
 /// Lays lines one after the other, nearest first.
@@ -396,6 +431,7 @@ mod tests {
             seam: Seam::Nearest,
             feed: 1200.0,
             travel_feed: 3000.0,
+            neck: 0.0,
         }
     }
 

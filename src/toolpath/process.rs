@@ -76,6 +76,8 @@ pub(super) struct Printing {
     /// Follows from the extruder's volumetric rate and the bead.
     pub feed: f64,
     pub travel_feed: f64,
+    /// Half the width of what is too narrow for a perimeter around it, mm, over that of the bead.
+    pub neck: f64,
 }
 
 impl Printing {
@@ -91,6 +93,7 @@ impl Printing {
             seam: p.seam,
             feed: extruder.feed_mm_min(p),
             travel_feed: machine.control.max_feed_mm_min.min(machine.control.rapid_mm_min),
+            neck: 0.0,
         }
     }
 }

@@ -282,3 +282,37 @@ fn verified_plans_give_verified_paths() {
         assert!(for_plan(&w.job, &verified, &Ctx::quiet()).unwrap().verified());
     }
 }
+
+#[test]
+fn supports_get_beads_though_no_mesh_has_a_section_there() {
+    let plate: Part = |p| p.z < 4.0 && p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0;
+    let both: Part = |p| {
+        let tower = p.x > 4.0 && p.x < 10.0;
+        let support = p.x > 15.0 && p.x < 18.0;
+        p.z < 10.0 && p.y > 6.0 && p.y < 12.0 && (tower || support)
+    };
+    let size = DVec3::new(24.0, 20.0, 14.0);
+    let mut w = world("generic-5axis", 0.5, size, plate, &[(StepKind::Additive, DVec3::Z, both)]);
+    let frame = w.job.frame;
+    w.job.target = BitGrid::from_fn(frame.dims, |v| {
+        w.job.target.get(v) && (frame.center(v).x < 12.0 || frame.center(v).z < 4.0)
+    });
+    let cuboid = |lo: [f64; 3], hi: [f64; 3]| TriMesh::cuboid(lo.into(), hi.into());
+    w.job.initial_mesh = cuboid([2.0, 2.0, 0.0], [22.0, 18.0, 4.0]);
+    let tower = cuboid([4.0, 6.0, 3.0], [10.0, 12.0, 10.0]);
+    let first = w.job.initial_mesh.vertices().len() as u32;
+    let mut points = w.job.initial_mesh.vertices().to_vec();
+    points.extend(tower.vertices());
+    let mut triangles = w.job.initial_mesh.triangles().to_vec();
+    triangles.extend(tower.triangles().iter().map(|t| t.map(|v| v + first)));
+    w.job.target_mesh = TriMesh::new(points, triangles).unwrap();
+    let path = &paths(&w)[0];
+    let beads = |low: f64, high: f64| {
+        let inside = |m: &&Move| m.kind == MoveKind::Deposit && m.tip.x > low && m.tip.x < high;
+        let heights: BTreeSet<i64> =
+            path.moves.iter().filter(inside).map(|m| (m.tip.z * 1e3).round() as i64).collect();
+        heights.len()
+    };
+    // As many layers as the tower has.
+    assert_eq!((beads(4.0, 10.0), beads(15.0, 18.0)), (30, 30));
+}
