@@ -1,19 +1,16 @@
-use super::interpret::{Motion, Run, Setting, run};
+use super::interpret::{Gait, Motion, Run, Setting, run};
 use super::program::{Checked, Program};
 use super::report::{CheckReport, Finding, Rule, StepFigures};
-use super::sweep::{Scene, judge};
-use crate::base::Ctx;
+use super::sweep::{Scene, WRITTEN_MM, judge};
+use crate::base::{Ctx, DVec3};
 use crate::plan::{Job, Plan, StepKind};
 use crate::toolpath::{MoveKind, Replay, Toolpath, ToolpathError, Toolpaths};
 use rayon::prelude::*;
 
-/// Largest difference between the working length a path promises and the one its program runs: a
-/// share of the length, for coordinates written with three decimals, and a floor in mm.
-const PROMISED: (f64, f64) = (2e-5, 0.1);
-
-/// The same share where arcs stand for chords: an arc 0.005 mm high is longer than its chord by a
-/// fifth of a per cent at most where it is worth writing.
-const PROMISED_ARCS: f64 = 3e-3;
+/// Largest difference between the working length a path promises and the one its program runs where
+/// arcs stand for chords: a share of the length, since an arc 0.005 mm high is longer than its chord
+/// by a fifth of a per cent at most where it is worth writing, and a floor in mm.
+const PROMISED_ARCS: (f64, f64) = (3e-3, 0.1);
 
 /// A program is not read beyond this size: 1 GiB, ten times the largest plan's.
 const MOST_BYTES: usize = 1 << 30;
@@ -58,7 +55,8 @@ pub fn check(
         figures.time_s += job.machine.control.tool_change_s + idle.sum::<f64>();
         if let Some(p) = promised.and_then(|p| p.all().get(i)) {
             let line = run.step_lines.get(i).copied().unwrap_or(lines.max(1));
-            findings.extend(against(&figures, p, line, job.machine.control.post.arcs));
+            let arcs = job.machine.control.post.arcs;
+            findings.extend(against(of_step(&run.motions, i), &figures, p, line, arcs));
         }
         steps.push(figures);
     }
@@ -118,15 +116,28 @@ fn judge_step(
         tolerance: job.rules.tolerance_mm,
         line,
     };
-    let from = motions.partition_point(|m| m.step < i);
-    let to = motions.partition_point(|m| m.step <= i);
-    Ok(judge(&scene, &motions[from..to]))
+    Ok(judge(&scene, of_step(motions, i)))
 }
 
-/// Whether a step of the program does as much as its path promises.
-fn against(figures: &StepFigures, path: &Toolpath, line: usize, arcs: bool) -> Option<Finding> {
-    let share = if arcs { PROMISED_ARCS } else { PROMISED.0 };
-    let off = |a: f64, b: f64| (a - b).abs() > share * b + PROMISED.1;
+fn of_step(motions: &[Motion], i: usize) -> &[Motion] {
+    let from = motions.partition_point(|m| m.step < i);
+    &motions[from..motions.partition_point(|m| m.step <= i)]
+}
+
+/// Whether a step of the program goes where its path goes.
+fn against(
+    motions: &[Motion],
+    figures: &StepFigures,
+    path: &Toolpath,
+    line: usize,
+    arcs: bool,
+) -> Option<Finding> {
+    if arcs { as_long(figures, path, line) } else { follows(motions, path, line) }
+}
+
+/// Where arcs stand for chords: whether the program works for as long as its path promises.
+fn as_long(figures: &StepFigures, path: &Toolpath, line: usize) -> Option<Finding> {
+    let off = |a: f64, b: f64| (a - b).abs() > PROMISED_ARCS.0 * b + PROMISED_ARCS.1;
     let (want, what) = match path.kind {
         // In a program all moves at feed are alike.
         StepKind::Subtractive => {
@@ -139,4 +150,41 @@ fn against(figures: &StepFigures, path: &Toolpath, line: usize, arcs: bool) -> O
         rule: Rule::Volume,
         message: format!("{:.1} {what}, the plan's paths have {want:.1}", figures.working_mm),
     })
+}
+
+/// Working moves one by one: each begins and ends where the path's does. Moves shorter than what is
+/// written may be left out.
+fn follows(motions: &[Motion], path: &Toolpath, line: usize) -> Option<Finding> {
+    let same = |a: DVec3, b: DVec3| a.distance(b) <= WRITTEN_MM;
+    let (gait, what) = match path.kind {
+        StepKind::Subtractive => (Gait::Feed, "a cut"),
+        StepKind::Additive => (Gait::Deposit, "a bead"),
+    };
+    let works = |k: MoveKind| match path.kind {
+        StepKind::Subtractive => matches!(k, MoveKind::Cut | MoveKind::Approach),
+        StepKind::Additive => k == MoveKind::Deposit,
+    };
+    let found = |line: usize, message: String| Finding { line, rule: Rule::Volume, message };
+    let mut made = motions.iter().filter(|m| m.gait == gait).peekable();
+    for (i, m) in path.moves.iter().enumerate().filter(|(_, m)| works(m.kind)) {
+        let from = i.checked_sub(1).map(|before| path.moves[before].tip);
+        let begins = |w: &Motion| w.from.zip(from).is_none_or(|(a, b)| same(a, b));
+        match made.peek() {
+            Some(w) if same(w.to, m.tip) && begins(w) => {
+                made.next();
+            }
+            _ if from.is_some_and(|f| same(f, m.tip)) => {}
+            Some(w) => {
+                let message =
+                    format!("{what} to ({:.3}), the plan's path has one to ({:.3})", w.to, m.tip);
+                return Some(found(w.line, message));
+            }
+            None => {
+                let message = format!("{what} to ({:.3}) is missing in this step", m.tip);
+                return Some(found(line, message));
+            }
+        }
+    }
+    let more = made.next()?;
+    Some(found(more.line, format!("{what} to ({:.3}) that the plan's path does not have", more.to)))
 }

@@ -236,6 +236,30 @@ fn a_program_of_another_plan_does_less_or_more_than_promised() {
 }
 
 #[test]
+fn a_bead_that_ends_elsewhere_is_named_with_its_line() {
+    let w = tower("generic-5axis");
+    let text = posted(&w);
+    let p = paths(&w);
+    let judged = |text: &str| check(text, &w.job, &w.plan, Some(&p), &Ctx::quiet()).unwrap();
+    assert!(judged(&text).passed(), "{}", told(&judged(&text)));
+    // A corner moved by less than any length or volume would show.
+    let starts = lines_where(&text, |l| l == "M72");
+    let mut lines: Vec<String> = text.lines().map(String::from).collect();
+    let at = (starts[starts.len() / 2]..).find(|i| lines[*i].contains('X')).unwrap();
+    let x: f64 = lines[at].split(' ').find_map(|w| w.strip_prefix('X')).unwrap().parse().unwrap();
+    lines[at] = lines[at].replace(&format!("X{x:.3}"), &format!("X{:.3}", x + 0.05));
+    let moved: String = lines.iter().map(|l| format!("{l}\n")).collect();
+    assert_ne!(moved, text);
+    let r = judged(&moved);
+    let found = r
+        .findings
+        .iter()
+        .find(|f| f.rule == Rule::Volume)
+        .unwrap_or_else(|| panic!("{}", told(&r)));
+    assert_eq!(found.line, at + 1, "{}", found.message);
+}
+
+#[test]
 fn a_missing_layer_is_caught_by_the_feed_of_the_next() {
     let w = treads("generic-5axis");
     let text = posted(&w);
