@@ -66,6 +66,11 @@ pub struct PlanConfig {
 }
 
 impl PlanConfig {
+    /// Whether planner reman is asked.
+    pub fn is_reman(&self) -> bool {
+        self.nullify.is_none() && self.search.is_none()
+    }
+
     /// What the plan file records of it.
     pub fn command(&self) -> Command {
         Command {

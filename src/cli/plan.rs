@@ -193,6 +193,7 @@ fn load(config: &PlanConfig, clock: &mut Clock) -> Result<Parts, Failure> {
 }
 
 /// A place of the target, and what to say of it.
+#[derive(Clone)]
 struct Place {
     motion: DAffine3,
     note: Option<String>,
@@ -239,10 +240,24 @@ fn best_of(
     clock: &mut Clock,
 ) -> Result<Made, Failure> {
     let plan_at = |parts: &mut Parts, place: &Place, clock: &mut Clock| -> Result<_, Failure> {
-        let prepared = prepare(parts, place, config, ctx, clock)?;
+        let mut notes: Vec<String> = place.note.clone().into_iter().collect();
+        let mut prepared = prepare(parts, place, config, ctx, clock)?;
+        if config.setup == Setup::Search && config.is_reman() {
+            let looked = || reman::shift_off_hidden(&prepared.job, &config.reman, ctx);
+            if let Some(shift) = clock.time("setup", looked)? {
+                let by = DVec3::from_array(shift.map(|n| n as f64 * prepared.job.frame.pitch));
+                let motion = DAffine3::from_translation(by) * place.motion;
+                prepared = prepare(parts, &Place { motion, ..place.clone() }, config, ctx, clock)?;
+                notes.push(format!(
+                    "The target was moved on by ({:.2}, {:.2}, {:.2}) mm, so that the reused \
+                     volume hides nothing of what is printed.",
+                    by.x, by.y, by.z
+                ));
+            }
+        }
         let planned = pipeline::plan(&prepared.job, config, ctx, clock)?;
         let standing = planned.standing;
-        Ok((Made { prepared, planned, notes: place.note.clone().into_iter().collect() }, standing))
+        Ok((Made { prepared, planned, notes }, standing))
     };
     let told = |i: usize, place: &Place, s: &reman::Standing| {
         let how = match s.class {

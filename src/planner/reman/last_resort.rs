@@ -5,8 +5,10 @@
 //! first block begins on the face that a plane leaves. Then come deposits straight up, on supports
 //! where neither part nor stock carries them (`supports`), cuts of all that stands outside the
 //! target, and deposits of what is still missing. Where the cutters leave some of the supports, all
-//! is tried again with none that they would not reach. If this way leaves something, the stock is
-//! cut before anything is printed, once without supports and once with them.
+//! is tried again with none that they would not reach, and slim ones near the others; where crumbs
+//! are missing in creases that close before their turn, what lies around them is printed ahead of
+//! all else. If this way leaves something, the stock is cut before anything is printed, once
+//! without supports and once with them.
 //!
 //! Guarantees: those of cuts and deposits. A plan is made this way only if it ranks higher and
 //! leaves less. Not guaranteed: that nothing is left.
@@ -21,13 +23,22 @@ use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
 use crate::voxel::{BitGrid, distance_within};
 
-/// How often all is tried again without the supports that the cutters left: each time costs as much
-/// as the first, and the second leaves few.
-const AVOIDING_ROUNDS: usize = 2;
+/// How often all is tried again without the supports that the cutters left, and with what was missing
+/// printed first: each time costs as much as the first, and the third leaves few.
+const AGAIN: usize = 5;
+
+/// How far around what was missing is printed first, mm: enough for a block with a bead in it.
+const AHEAD_MM: f64 = 1.5;
+
+/// Share of the target that may be missing for that: more is no matter of crumbs in a crease.
+const MOST_CRUMBS: f64 = 1e-3;
 
 /// How far, in voxels, from what the cutters left of a support others are looked at: carriers of the
 /// same voxel and what carries them.
 const NEAR_STUCK: f64 = 4.0;
+
+/// How far, in voxels, from there they are as slim as they can be: as far as the next is wide.
+const SLIM_NEAR: f64 = 10.0;
 
 /// What stands when the first deposit is made, and the cuts that leave it.
 struct Stock {
@@ -59,27 +70,50 @@ pub fn last_resort(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> 
             true => start.stock_under_planes(&plain, options, ctx)?,
             false => finished_stock(&plain),
         };
-        let mut avoided = BitGrid::new(job.frame.dims);
-        for round in 0..=AVOIDING_ROUNDS {
-            let on = supports.then_some(OnSupports { direction: Direction::Z, avoided: &avoided });
+        let none = BitGrid::new(job.frame.dims);
+        let (mut avoided, mut slim, mut ahead) = (none.clone(), none.clone(), none);
+        for round in 0..=AGAIN {
+            let on = supports.then_some(OnSupports {
+                direction: Direction::Z,
+                avoided: &avoided,
+                slim: &slim,
+                ahead: &ahead,
+            });
             let made = start.finished(&plain, &stock, on, options, ctx)?;
             clock.lap("blocks");
             tracing::debug!(waits, supports, "last resort");
             made.tell("last resort", round);
-            let stuck = made.excess.and(&made.printed_aside(job));
             let best = better.as_ref().unwrap_or(&plain);
+            let is_better = made.rank(job) <= best.rank(job) && made.left() < best.left();
+            let is_worse = made.left() > best.left();
             // A support in a pocket that is open only below stands for good.
-            let is_better = made.rank(job) < best.rank(job) && made.left() < best.left();
-            let is_done = stuck.is_empty() || made.left() > best.left() || ctx.out_of_time();
+            let stuck = made.excess.and(&made.printed_aside(job));
+            let crumbs = made.deficit.clone();
             if is_better {
                 better = Some(made);
             }
-            if is_done {
+            let few = crumbs.count() as f64 <= MOST_CRUMBS * job.target.count() as f64;
+            if !supports || is_worse && !few || ctx.out_of_time() {
                 break;
             }
             let near = distance_within(&stuck, NEAR_STUCK).minus(&job.target);
+            let again = near.and(&slim);
+            let mut changed = !stuck.is_empty() && !again.is_subset_of(&avoided);
+            if !near.is_subset_of(&slim) {
+                slim.union_with(&distance_within(&stuck, SLIM_NEAR));
+                changed = true;
+            }
+            // Slim as they are, they were left again.
+            avoided.union_with(&again);
             let open = within_reach(&setting, &job.target, &near, options.directions, ctx)?;
             avoided.union_with(&near.minus(&open));
+            if few && !crumbs.is_subset_of(&ahead) {
+                ahead.union_with(&distance_within(&crumbs, AHEAD_MM / job.frame.pitch));
+                changed = true;
+            }
+            if !changed {
+                break;
+            }
         }
     }
     let Some(better) = better else { return Ok(plain) };

@@ -35,6 +35,8 @@
 //! - Where something would be left, raw stock under the planes stands until all is printed, the part
 //!   is printed on supports, and both are cut at the end, with slender tools if need be, if that
 //!   leaves less (`last_resort`). The paper does without supports, to save their material.
+//! - A placement found by search is moved on by a voxel or two where the reused volume would hide a
+//!   little of what is to be printed (`hidden`).
 //! - With a second holding, planes that leave the part on its base are looked at beside all others:
 //!   deposits from straight above may then begin on the bare base.
 //! - A cut that would free a piece it does not reach leaves a bridge to it (`bridges`).
@@ -51,6 +53,7 @@ mod coarse;
 mod compared;
 mod cutting;
 mod global;
+mod hidden;
 mod last_resort;
 mod laying;
 mod local;
@@ -72,6 +75,8 @@ use crate::plan::{Job, Plan, Plane, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::{PrintingBase, Volumes, printing_bases};
 use crate::voxel::BitGrid;
+pub use hidden::shift_off_hidden;
+
 use candidates::{Admissible, Element};
 use clip::Clip;
 use coarse::Coarse;

@@ -16,9 +16,9 @@ use super::setting::Setting;
 use super::supports::lay_on_supports;
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
-use crate::plan::{Job, Origin, Plane, Step, StepKind};
+use crate::plan::{Origin, Plane, Step, StepKind};
 use crate::region::above;
-use crate::voxel::{BitGrid, Connectivity, flood};
+use crate::voxel::{BitGrid, Connectivity, Frame, flood};
 
 /// The additive steps, the state they leave, what of V_A they could not add, and what they added
 /// beside it to carry it.
@@ -63,6 +63,10 @@ const LEAST_SHARE: f64 = 5e-4;
 /// And at least this much, mm³: a deposit smaller than a few millimetres of bead has no path.
 const LEAST_MM3: f64 = 2.0;
 
+/// The same for what is printed ahead of all else, mm³: a few beads in a crease that nothing gets at
+/// later.
+const LEAST_AHEAD_MM3: f64 = 0.8;
+
 /// Ways that are looked at closely after the coarse ranking, of the preferred and of the sampled
 /// ones: more costs time, fewer trusts a staircase of coarse voxels too much.
 const FINALISTS: usize = 3;
@@ -85,7 +89,8 @@ pub fn print_blocks(
     Ok(press.printing)
 }
 
-/// The same, but first all that goes along one direction, with supports where nothing carries it.
+/// The same, but first what is to be printed ahead of all else, then all that goes along one
+/// direction, with supports where nothing carries it.
 pub fn print_on_supports(
     setting: &Setting,
     coarse: &Coarse,
@@ -96,10 +101,11 @@ pub fn print_on_supports(
     let Some(mut press) = Press::new(setting, coarse, wanted) else {
         return Ok(wanted.unprinted());
     };
+    press.print_ahead(on.ahead, ctx)?;
     if let Some(way) = press.way_along(on.direction) {
         let fixed = press.fixed();
-        let left = wanted.added.clone();
-        let block = lay_on_supports(&press.fine(&left, &fixed), way, on.avoided);
+        let left = press.printing.unreached.clone();
+        let block = lay_on_supports(&press.fine(&left, &fixed), way, &on);
         if block.gain >= press.least {
             press.take(block, left, fixed);
         }
@@ -115,6 +121,10 @@ pub struct OnSupports<'o> {
     pub direction: Direction,
     /// Where none may be.
     pub avoided: &'o BitGrid,
+    /// Where they go straight down, no wider than a voxel.
+    pub slim: &'o BitGrid,
+    /// What is printed before them.
+    pub ahead: &'o BitGrid,
 }
 
 impl Wanted<'_> {
@@ -193,6 +203,15 @@ impl<'a> Press<'_, 'a> {
             let block = self.fine(&left, &fixed).with_shorter(block, self.shorter);
             self.take(block, left, fixed);
         }
+    }
+
+    /// Small blocks among what is to be printed before all else.
+    fn print_ahead(&mut self, ahead: &BitGrid, ctx: &Ctx) -> Result<(), Cancelled> {
+        let least = (LEAST_AHEAD_MM3 / self.setting.job.frame.voxel_volume()).ceil() as usize;
+        let usual = std::mem::replace(&mut self.least, least);
+        self.print_among(&self.wanted.added.and(ahead), ctx)?;
+        self.least = usual;
+        Ok(())
     }
 
     fn print_shares(&mut self, shares: &[Share], ctx: &Ctx) -> Result<(), Cancelled> {
@@ -287,32 +306,36 @@ impl<'a> Press<'_, 'a> {
     fn take(&mut self, block: Block, left: BitGrid, fixed: Vec<Vec<DVec3>>) {
         let share = self.share(&block, &left);
         self.printing.shares.push(share);
-        let Way { direction, holding, tool } = block.way;
+        let holding = block.way.holding;
         self.held = Some((holding, fixed.into_iter().nth(holding).unwrap_or_default()));
-        let job: &Job = self.setting.job;
-        let heights = block.region.iter_ones().map(|v| direction.dot(job.frame.center(v)));
-        let lowest = heights.fold(f64::INFINITY, f64::min);
         let printing = &mut self.printing;
         printing.state.union_with(&block.region);
         printing.unreached.subtract(&block.region);
         tracing::debug!(
-            ?direction,
-            tool = tool.name,
+            direction = ?block.way.direction,
+            tool = block.way.tool.name,
             gain = block.gain,
             left = printing.unreached.count_and(self.wanted.core),
             "print"
         );
-        printing.steps.push(Step {
-            kind: StepKind::Additive,
-            tool: tool.name.clone(),
-            direction,
-            holding,
-            region: block.region,
-            block: printing.steps.len(),
-            origin: Origin {
-                plane: Some(Plane { normal: direction, offset: lowest - job.frame.pitch / 2.0 }),
-                action: None,
-            },
-        });
+        let number = printing.steps.len();
+        printing.steps.push(deposit(block, number, &self.setting.job.frame));
+    }
+}
+
+/// The step that lays a block.
+fn deposit(block: Block, number: usize, frame: &Frame) -> Step {
+    let Way { direction, holding, tool } = block.way;
+    let heights = block.region.iter_ones().map(|v| direction.dot(frame.center(v)));
+    let lowest = heights.fold(f64::INFINITY, f64::min);
+    let plane = Plane { normal: direction, offset: lowest - frame.pitch / 2.0 };
+    Step {
+        kind: StepKind::Additive,
+        tool: tool.name.clone(),
+        direction,
+        holding,
+        region: block.region,
+        block: number,
+        origin: Origin { plane: Some(plane), action: None },
     }
 }

@@ -2,6 +2,7 @@
 
 use super::laying::{Layer, Way, base_layer};
 use super::local_tests::job_of;
+use super::printing::OnSupports;
 use super::setting::Setting;
 use super::supports::lay_on_supports;
 use super::{Options, plan};
@@ -32,6 +33,14 @@ fn upright(job: &Job) -> Way<'_> {
     Way { direction: Direction::Z, holding: 0, tool: Tool::longest(&job.nozzles).unwrap() }
 }
 
+/// All that is laid straight from above where no supports are to be in one set, and slim ones in
+/// another.
+fn on_supports(layer: &Layer, avoided: &BitGrid, slim: &BitGrid) -> BitGrid {
+    let none = BitGrid::new(DIMS);
+    let on = OnSupports { direction: Direction::Z, avoided, slim, ahead: &none };
+    lay_on_supports(layer, upright(layer.job), &on).region
+}
+
 /// Whether a region can be laid layer by layer from below along z: each voxel carried by the layers
 /// under it, and each layer, once laid, one body with the part or the base.
 fn is_carried(job: &Job, state: &BitGrid, region: &BitGrid) -> bool {
@@ -56,13 +65,40 @@ fn a_roof_is_printed_whole_on_supports_that_reach_down_to_the_part() {
     let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
     let plain = layer.lay(upright(&job));
     assert!(plain.gain < left.count(), "the roof overhangs");
-    let block = lay_on_supports(&layer, upright(&job), &BitGrid::new(DIMS));
-    assert!(left.is_subset_of(&block.region));
-    assert!(is_carried(&job, &job.initial, &block.region));
-    let supports = block.region.minus(&left);
+    let none = BitGrid::new(DIMS);
+    let region = on_supports(&layer, &none, &none);
+    assert!(left.is_subset_of(&region));
+    assert!(is_carried(&job, &job.initial, &region));
+    let supports = region.minus(&left);
     assert!(!supports.intersects(&job.target));
-    // What the post's flare carries needs none: fewer than columns under the whole roof.
-    assert!(supports.count() < 12 * (32 * 16 - 8 * 8), "{}", supports.count());
+    // What the post's flare carries needs none, and the others grow together: fewer than half of
+    // columns under the whole roof.
+    assert!(supports.count() < 6 * (32 * 16 - 8 * 8), "{}", supports.count());
+}
+
+#[test]
+fn supports_are_slim_where_they_are_told_to_be() {
+    let mut job = job();
+    // A grid as fine as a bead is wide.
+    job.frame.pitch = 0.5;
+    let setting = Setting::new(&job);
+    let left = job.target.minus(&job.initial);
+    let fixed = vec![setting.fixed(0, &job.initial)];
+    let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
+    let (none, all) = (BitGrid::new(DIMS), BitGrid::from_fn(DIMS, |_| true));
+    let (wide, slim) = (on_supports(&layer, &none, &none), on_supports(&layer, &none, &all));
+    for region in [&wide, &slim] {
+        assert!(left.is_subset_of(region) && is_carried(&job, &job.initial, region));
+    }
+    // Half-way down trunks stand alone: wide ones have a neighbour on every side of their middle.
+    let trunks = |region: &BitGrid| {
+        let row = BitGrid::from_fn(DIMS, |v| v[2] == 6 && region.minus(&left).get(v));
+        let inner = |[x, y, z]: [usize; 3]| {
+            [[x - 1, y, z], [x + 1, y, z], [x, y - 1, z], [x, y + 1, z]].iter().all(|n| row.get(*n))
+        };
+        row.iter_ones().filter(|v| inner(*v)).count()
+    };
+    assert!(trunks(&wide) > 4 && trunks(&slim) == 0, "{} {}", trunks(&wide), trunks(&slim));
 }
 
 #[test]
@@ -77,9 +113,10 @@ fn supports_lean_past_what_the_nozzle_does_not_get_at() {
     let left = job.target.minus(&job.initial);
     let fixed = vec![setting.fixed(0, &job.initial)];
     let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
-    let block = lay_on_supports(&layer, upright(&job), &BitGrid::new(DIMS));
-    assert!(left.is_subset_of(&block.region), "{} left", left.minus(&block.region).count());
-    assert!(is_carried(&job, &job.initial, &block.region));
+    let none = BitGrid::new(DIMS);
+    let region = on_supports(&layer, &none, &none);
+    assert!(left.is_subset_of(&region), "{} left", left.minus(&region).count());
+    assert!(is_carried(&job, &job.initial, &region));
 }
 
 #[test]
@@ -89,14 +126,15 @@ fn supports_stand_past_what_is_to_be_avoided() {
     let left = job.target.minus(&job.initial);
     let fixed = vec![setting.fixed(0, &job.initial)];
     let layer = Layer { job: &job, state: &job.initial, left: &left, core: &left, fixed: &fixed };
-    let before = lay_on_supports(&layer, upright(&job), &BitGrid::new(DIMS)).region.minus(&left);
+    let none = BitGrid::new(DIMS);
+    let before = on_supports(&layer, &none, &none).minus(&left);
     // A slab across the roof's side, in which supports stood; the roof leans over it.
     let avoided = BitGrid::from_fn(DIMS, |[x, _, z]| (8..10).contains(&x) && z >= 4);
     assert!(before.intersects(&avoided));
-    let block = lay_on_supports(&layer, upright(&job), &avoided);
-    assert!(!block.region.minus(&left).intersects(&avoided));
-    assert!(left.is_subset_of(&block.region), "{} left", left.minus(&block.region).count());
-    assert!(is_carried(&job, &job.initial, &block.region));
+    let region = on_supports(&layer, &avoided, &none);
+    assert!(!region.minus(&left).intersects(&avoided));
+    assert!(left.is_subset_of(&region), "{} left", left.minus(&region).count());
+    assert!(is_carried(&job, &job.initial, &region));
 }
 
 #[test]
