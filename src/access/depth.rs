@@ -16,8 +16,8 @@
 use super::Scene;
 use super::cells::Cells;
 use super::filter::{Image, Kernel, Op, Spans, filter};
-use super::image::{DepthImage, pool, splat, spread};
-use super::lattice::{DepthMap, Lattice};
+use super::image::{DepthImage, splat, spread};
+use super::lattice::{DepthMap, Lattice, corners};
 use super::tops::{NONE, axis_of, tops, voxel};
 use crate::base::{Aabb, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
@@ -39,6 +39,10 @@ fn rounding_cells(direction: Direction) -> f64 {
     if direction.is_grid_axis() { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 }
 }
 
+/// Margin in mm below which a point stands surely lower than what a verdict looks at: far above
+/// the rounding of f32 heights, far below a voxel.
+const LOWER_MM: f64 = 0.01;
+
 /// A direction's look at a scene, for the voxels of one set.
 struct View<'a> {
     scene: &'a Scene,
@@ -50,6 +54,9 @@ struct View<'a> {
     spacing: f64,
     /// How far around them the window reaches, mm.
     margin: f64,
+    /// Obstacle points that stand lower, mm, have no say: a voxel x is refused for o_z − f > x_z − k,
+    /// f is nowhere negative, and no x is asked for below.
+    least: f64,
     /// Depth images by pooling, each wide enough for every section treated on it.
     images: Vec<DepthImage>,
     /// Height of the highest obstacle point, mm, once they were looked at.
@@ -57,23 +64,44 @@ struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    fn new(scene: &'a Scene, wanted: &'a BitGrid, direction: Direction, margin: f64) -> Self {
+    /// For the voxels of `wanted`; `deepest` is the largest k of the tools that look, mm.
+    fn new(
+        scene: &'a Scene,
+        wanted: &'a BitGrid,
+        direction: Direction,
+        margin: f64,
+        deepest: f64,
+    ) -> Self {
         let half = DVec3::splat(scene.frame.pitch / 2.0);
         // Of an empty set nothing is asked; one voxel stands for it.
         let (lo, hi) = wanted.extent().unwrap_or_default();
         let within =
             Aabb { min: scene.frame.center(lo) - half, max: scene.frame.center(hi) + half };
-        View { wanted: Some(wanted), within, ..View::of_grid(scene, direction, margin) }
+        View { wanted: Some(wanted), ..View::of_box(scene, within, direction, margin, deepest) }
     }
 
-    fn of_grid(scene: &'a Scene, direction: Direction, margin: f64) -> Self {
+    /// For all voxels of the grid.
+    fn of_grid(scene: &'a Scene, direction: Direction, margin: f64, deepest: f64) -> Self {
+        View::of_box(scene, scene.frame.bounds(), direction, margin, deepest)
+    }
+
+    fn of_box(
+        scene: &'a Scene,
+        within: Aabb,
+        direction: Direction,
+        margin: f64,
+        deepest: f64,
+    ) -> Self {
+        let plane = direction.image_plane();
+        let lowest = corners(&within).map(|c| plane.height(c)).into_iter().fold(f64::MAX, f64::min);
         View {
             scene,
             wanted: None,
-            plane: direction.image_plane(),
-            within: scene.frame.bounds(),
+            plane,
+            within,
             spacing: spacing(&scene.frame, direction),
             margin,
+            least: lowest - deepest - LOWER_MM,
             images: Vec::new(),
             highest: None,
         }
@@ -111,8 +139,7 @@ impl<'a> View<'a> {
     }
 
     /// The highest point per cell, mm, on the images by these poolings that are not there yet, and
-    /// the highest of all. One pass over the points fills the finest image; the coarser ones take
-    /// from it, and from the points beyond it.
+    /// the highest of all, in one pass over the points.
     fn look(&mut self, pools: &[usize]) {
         let mut new: Vec<usize> = pools.to_vec();
         new.sort_unstable();
@@ -132,10 +159,7 @@ impl<'a> View<'a> {
                 (pool, lattice, Cells::filled(lattice.nu * lattice.nv, f32::NEG_INFINITY))
             })
             .collect();
-        self.highest = Some(splat(self.scene, &self.plane, &mut new));
-        if let Some(((_, fine, from), coarser)) = new.split_first_mut() {
-            coarser.iter_mut().for_each(|(_, lattice, image)| pool(fine, from, lattice, image));
-        }
+        self.highest = Some(splat(self.scene, &self.plane, self.least, &mut new));
         self.images.append(&mut new);
     }
 
@@ -205,14 +229,26 @@ impl<'a> View<'a> {
             } else {
                 let coarse = self.lattice(self.margin + self.spacing, pool);
                 let mut pooled = Cells::filled(coarse.nu * coarse.nv, f32::NEG_INFINITY);
-                let all = Spans::all(coarse.nu, coarse.nv);
+                let over = over_tips(&coarse, &window, tips);
                 let at = lattice.offset_of(&coarse);
-                filter(Op::Max, &image, at, coarse.nu, &mut pooled, &all, &kernel);
+                filter(Op::Max, &image, at, coarse.nu, &mut pooled, &over, &kernel);
                 spread(&coarse, &pooled, &window, tips, &mut lowest);
             }
         }
         lowest
     }
+}
+
+/// The cells of a coarser lattice in which any of the `tips` of a window lies.
+fn over_tips(coarse: &Lattice, window: &Lattice, tips: &Spans) -> Spans {
+    let [columns, rows] = coarse.pooled(window);
+    let mut over = vec![false; coarse.nu * coarse.nv];
+    for (row, spans) in rows.iter().zip(tips.rows()) {
+        for s in spans.iter().filter(|s| !s.is_empty()) {
+            over[coarse.nu * row..][columns[s.start]..=columns[s.end - 1]].fill(true);
+        }
+    }
+    Spans::of(&over, coarse.nu)
 }
 
 /// Whether a section of a tool needs no look, since another, drawn on the same footing or a finer
@@ -227,9 +263,10 @@ fn shadows((before, lift): &(Section, f64), (section, section_lift): &(Section, 
 /// G of the depth engine: a voxel x of `wanted` can be cut along `direction` when x_z ≥ G at its
 /// cell.
 pub fn cutter_map(scene: &Scene, wanted: &BitGrid, tool: &Tool, direction: Direction) -> DepthMap {
-    let mut view = View::new(scene, wanted, direction, cutter_margin(scene, tool, direction));
+    let cutter = Cutter::of(scene, tool, direction);
+    let mut view = View::new(scene, wanted, direction, cutter.margin, cutter.deepest());
     let under = view.under(&view.window());
-    cutter_map_in(&mut view, &under, tool, direction)
+    cutter.map(&mut view, &under, direction)
 }
 
 /// [`cutter_map`] of several tools along one direction; the scene is looked at only once.
@@ -239,48 +276,71 @@ pub fn cutter_maps(
     tools: &[Tool],
     direction: Direction,
 ) -> Vec<DepthMap> {
-    let margin = tools.iter().map(|t| cutter_margin(scene, t, direction)).fold(0.0, f64::max);
-    let mut view = View::new(scene, wanted, direction, margin);
+    let cutters: Vec<Cutter> = tools.iter().map(|t| Cutter::of(scene, t, direction)).collect();
+    let most = |of: fn(&Cutter) -> f64| cutters.iter().map(of).fold(0.0, f64::max);
+    let (margin, deepest) = (most(|c| c.margin), most(|c| c.deepest()));
+    let mut view = View::new(scene, wanted, direction, margin, deepest);
     let under = view.under(&view.window());
-    tools.iter().map(|t| cutter_map_in(&mut view, &under, t, direction)).collect()
+    cutters.iter().map(|c| c.map(&mut view, &under, direction)).collect()
 }
 
 /// [`cutter_map`] for all voxels of the grid.
 pub(super) fn cutter_map_of_grid(scene: &Scene, tool: &Tool, direction: Direction) -> DepthMap {
-    let mut view = View::of_grid(scene, direction, cutter_margin(scene, tool, direction));
+    let cutter = Cutter::of(scene, tool, direction);
+    let mut view = View::of_grid(scene, direction, cutter.margin, cutter.deepest());
     let under = view.under(&view.window());
-    cutter_map_in(&mut view, &under, tool, direction)
+    cutter.map(&mut view, &under, direction)
 }
 
 /// [`nozzle_map`] for all voxels of the grid, nothing standing lower than allowed.
 pub(super) fn nozzle_map_of_grid(scene: &Scene, tool: &Tool, direction: Direction) -> DepthMap {
-    let view = View::of_grid(scene, direction, spacing(&scene.frame, direction));
+    let view = View::of_grid(scene, direction, spacing(&scene.frame, direction), 0.0);
     nozzle_map_in(view, tool, direction, 0.0)
 }
 
-fn cutter_margin(scene: &Scene, tool: &Tool, direction: Direction) -> f64 {
-    tool.active_radius() + spacing(&scene.frame, direction)
+/// A cutter as one direction's lattice meets it.
+struct Cutter<'a> {
+    tool: &'a Tool,
+    /// Cells that its active part spans.
+    reach: usize,
+    /// k over them.
+    active: Kernel,
+    /// How far around the voxels its tip may stand, mm.
+    margin: f64,
 }
 
-fn cutter_map_in(view: &mut View, under: &Spans, tool: &Tool, direction: Direction) -> DepthMap {
-    let s = view.spacing;
-    let rounding = rounding_cells(direction);
-    let lattice = view.window();
-    let reach = (tool.active_radius() / s).floor() as usize;
-    // A face mill spans hundreds of cells; every n-th tip of them suffices, since missing a tip
-    // only misses a position.
-    let stride = (reach as f64 / WIDEST_CELLS).ceil().max(1.0) as usize;
-    let kernel = Kernel::of(reach, stride, |cells| {
-        let k = tool.active_lower_surface((cells + rounding) * s);
-        k.is_finite().then_some(k as f32)
-    });
-    let sections: Vec<(Section, f64)> = tool.sections.iter().map(|sec| (*sec, 0.0)).collect();
-    let tips = under.grown(reach, lattice.nu);
-    let free = view.lowest_tip(&tips, &sections, rounding);
-    let free = Image { width: lattice.nu, cells: &free };
-    let mut lowest = Cells::filled(lattice.nu * lattice.nv, f32::INFINITY);
-    filter(Op::Min, &free, (0, 0), lattice.nu, &mut lowest, under, &kernel);
-    DepthMap { plane: view.plane, lattice, lowest }
+impl<'a> Cutter<'a> {
+    fn of(scene: &Scene, tool: &'a Tool, direction: Direction) -> Self {
+        let s = spacing(&scene.frame, direction);
+        let rounding = rounding_cells(direction);
+        let reach = (tool.active_radius() / s).floor() as usize;
+        // A face mill spans hundreds of cells; every n-th tip of them suffices, since missing a tip
+        // only misses a position.
+        let stride = (reach as f64 / WIDEST_CELLS).ceil().max(1.0) as usize;
+        let active = Kernel::of(reach, stride, |cells| {
+            let k = tool.active_lower_surface((cells + rounding) * s);
+            k.is_finite().then_some(k as f32)
+        });
+        Cutter { tool, reach, active, margin: tool.active_radius() + s }
+    }
+
+    /// The largest k, mm.
+    fn deepest(&self) -> f64 {
+        f64::from(self.active.largest()).max(0.0)
+    }
+
+    fn map(&self, view: &mut View, under: &Spans, direction: Direction) -> DepthMap {
+        let rounding = rounding_cells(direction);
+        let lattice = view.window();
+        let sections: Vec<(Section, f64)> =
+            self.tool.sections.iter().map(|sec| (*sec, 0.0)).collect();
+        let tips = under.grown(self.reach, lattice.nu);
+        let free = view.lowest_tip(&tips, &sections, rounding);
+        let free = Image { width: lattice.nu, cells: &free };
+        let mut lowest = Cells::filled(lattice.nu * lattice.nv, f32::INFINITY);
+        filter(Op::Min, &free, (0, 0), lattice.nu, &mut lowest, under, &self.active);
+        DepthMap { plane: view.plane, lattice, lowest }
+    }
 }
 
 /// H of a nozzle whose tip stands at the deposited voxel: x of `wanted` can be deposited when
@@ -293,7 +353,7 @@ pub fn nozzle_map(
     direction: Direction,
     dip_mm: f64,
 ) -> DepthMap {
-    let view = View::new(scene, wanted, direction, spacing(&scene.frame, direction));
+    let view = View::new(scene, wanted, direction, spacing(&scene.frame, direction), 0.0);
     nozzle_map_in(view, tool, direction, dip_mm)
 }
 

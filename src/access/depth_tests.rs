@@ -97,6 +97,37 @@ proptest! {
 /// Every so many voxels of a real part are asked singly.
 const SAMPLE: usize = 61;
 
+/// A map of few voxels is drawn on small images, of which wide sections have larger ones, and without
+/// the points that stand too low: of these voxels it says what the map of the whole grid says.
+#[test]
+fn a_map_of_few_voxels_says_what_that_of_the_grid_says() {
+    let frame = Frame { pitch: 0.5, dims: [70, 60, 40], origin: DVec3::ZERO };
+    let solid = BitGrid::from_fn(frame.dims, |[x, y, z]| {
+        (z < 9 || x / 11 % 2 == 0 && y / 13 % 2 == 1 && z < 20 + x / 4) && !(x > 40 && y < 12)
+    });
+    // None lies midway between two cells: it may be stored in either.
+    let below = (0..400).map(|i| {
+        let [a, b] = [i % 20, i / 20].map(|t| f64::from(t) * 2.03 - 3.1);
+        DVec3::new(a, b, -0.25 - f64::from(i % 7) * 6.0)
+    });
+    let scene = Scene::new(&frame, &solid, &below.collect::<Vec<_>>());
+    let tools = [cutter(1.5, 9.0, 18.0), cutter(1.0, 4.0, 7.0)];
+    let mut taken = 0;
+    for d in fibonacci_sphere(24).into_iter().chain([Direction::X, Direction::Z]) {
+        for corner in [[0, 0, 9], [44, 0, 10], [22, 26, 14], [60, 50, 30]] {
+            let few = BitGrid::from_fn(frame.dims, |v| {
+                (0..3).all(|a| (corner[a]..corner[a] + 9).contains(&v[a])) && !solid.get(v)
+            });
+            for (tool, map) in tools.iter().zip(cutter_maps(&scene, &few, &tools, d)) {
+                let all = reached_along(&scene, &solid, tool, d).and(&few);
+                assert_eq!(crate::access::reachable(&map, &few, &frame), all, "{d:?} {corner:?}");
+                taken += all.count();
+            }
+        }
+    }
+    assert!(taken > 1000, "{taken}");
+}
+
 #[test]
 fn a_real_part_is_confirmed_at_a_coarse_pitch() {
     use rayon::prelude::*;

@@ -53,6 +53,7 @@ pub struct Spans {
 }
 
 impl Spans {
+    #[cfg(test)]
     pub fn all(width: usize, height: usize) -> Spans {
         let whole = 0..width;
         Spans { rows: vec![vec![whole]; height] }
@@ -160,6 +161,11 @@ impl Kernel {
             }
         }
         Kernel { reach, rows, least, largest }
+    }
+
+    /// The largest of its values; less than any number where it has none.
+    pub fn largest(&self) -> f32 {
+        self.largest
     }
 }
 

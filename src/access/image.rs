@@ -8,46 +8,84 @@ use super::cells::Cells;
 use super::filter::Spans;
 use super::lattice::Lattice;
 use super::tops::{NONE, axis_of, tops, voxel};
-use crate::base::{DVec3, ImagePlane};
+use crate::base::{DVec2, DVec3, ImagePlane};
 use pulp::{Arch, NullaryFnOnce};
 
 /// The highest points over the cells of a lattice, mm, with its pooling.
 pub type DepthImage = (usize, Lattice, Cells);
 
-/// Puts every obstacle point of a scene into the first image, and those beyond it into the others;
-/// the height of the highest.
-pub fn splat(scene: &Scene, plane: &ImagePlane, images: &mut [DepthImage]) -> f64 {
-    let Some(((_, lattice, image), coarser)) = images.split_first_mut() else { return f64::MIN };
-    let (mut highest, beyond) = match axis_of(plane.d) {
-        Some((axis, up)) => splat_columns(scene, plane, lattice, image, (axis, up)),
-        None => Arch::new().dispatch(SplatVoxels { scene, plane, lattice: *lattice, image }),
+/// Puts every obstacle point of a scene that stands at `least` mm or higher into the first image that
+/// has a cell for it (each is wider than those before) and what these hold into the coarser ones;
+/// the height of the highest point.
+pub fn splat(scene: &Scene, plane: &ImagePlane, least: f64, images: &mut [DepthImage]) -> f64 {
+    let of_voxels = match axis_of(plane.d) {
+        Some(along) => splat_columns(scene, plane, least, images, along),
+        None => Arch::new().dispatch(SplatVoxels { scene, plane, least, images }),
     };
-    for p in beyond.iter().chain(scene.fixed()) {
-        let (uv, z) = (plane.across(*p), plane.height(*p));
-        highest = highest.max(z);
-        if let Some(c) = lattice.cell(uv) {
-            image[c] = image[c].max(z as f32);
+    let fixed = SplatFixed { points: scene.fixed(), plane, least, images };
+    let highest = of_voxels.max(Arch::new().dispatch(fixed));
+    for i in 1..images.len() {
+        let (finer, coarser) = images.split_at_mut(i);
+        let (Some((_, fine, from)), Some((_, lattice, image))) =
+            (finer.last(), coarser.first_mut())
+        else {
             continue;
-        }
-        for (_, lattice, image) in coarser.iter_mut() {
-            if let Some(c) = lattice.cell(uv) {
-                image[c] = image[c].max(z as f32);
-            }
-        }
+        };
+        pool(fine, from, lattice, image);
     }
     highest
 }
 
-/// Puts the voxels of a scene into an image along a grid axis, of each column the highest, since all
-/// of it share a cell; answers as [`SplatVoxels`].
+/// Puts a point at (u, v), mm, and a height into the first image that has a cell for it.
+#[inline(always)]
+fn put(images: &mut [DepthImage], uv: DVec2, height: f64) {
+    let z = height as f32;
+    for (_, lattice, image) in images {
+        if let Some(cell) = lattice.cell(uv).and_then(|c| image.get_mut(c)) {
+            *cell = if z > *cell { z } else { *cell };
+            return;
+        }
+    }
+}
+
+/// [`splat`] of points that are no voxels'.
+struct SplatFixed<'a> {
+    points: &'a [DVec3],
+    plane: &'a ImagePlane,
+    least: f64,
+    images: &'a mut [DepthImage],
+}
+
+impl NullaryFnOnce for SplatFixed<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        let SplatFixed { points, plane, least, images } = self;
+        let plane = *plane;
+        let mut highest = f64::MIN;
+        for p in points {
+            let z = plane.height(*p);
+            highest = if z > highest { z } else { highest };
+            if z >= least {
+                put(images, plane.across(*p), z);
+            }
+        }
+        highest
+    }
+}
+
+/// [`splat`] of the voxels of a scene along a grid axis, of each column the highest, since all of it
+/// share a cell.
 fn splat_columns(
     scene: &Scene,
     plane: &ImagePlane,
-    lattice: &Lattice,
-    image: &mut [f32],
+    least: f64,
+    images: &mut [DepthImage],
     (axis, up): (usize, bool),
-) -> (f64, Vec<DVec3>) {
-    let (mut highest, mut beyond) = (f64::MIN, Vec::new());
+) -> f64 {
+    let mut highest = f64::MIN;
+    let Some(((_, lattice, image), coarser)) = images.split_first_mut() else { return highest };
     let step = lattice.steps(plane, scene.frame.pitch)[0];
     let place = |[x, y, z]: [usize; 3]| {
         let centre = scene.frame.center([0, y, z]);
@@ -64,61 +102,96 @@ fn splat_columns(
         let (column, top) = ([i % width, i / width], top as usize);
         let z = heights[top];
         highest = highest.max(z);
+        if z < least {
+            continue;
+        }
         match lattice.cell_at(place(voxel(axis, column, 0)).truncate()) {
             Some(c) => image[c] = image[c].max(z as f32),
-            None => beyond.push(scene.frame.center(voxel(axis, column, top))),
+            None => put(coarser, plane.across(scene.frame.center(voxel(axis, column, top))), z),
         }
     }
-    (highest, beyond)
+    highest
 }
 
-/// Puts the voxels of a scene into an image; answers with the height of the highest of them and the
-/// centres of those beyond it. The lattice comes by value: what the loop looks at stays in
-/// registers, not behind a reference that a store might change.
+/// [`splat`] of the voxels of a scene along any direction.
 struct SplatVoxels<'a> {
     scene: &'a Scene,
     plane: &'a ImagePlane,
-    lattice: Lattice,
-    image: &'a mut [f32],
+    least: f64,
+    images: &'a mut [DepthImage],
 }
 
 impl NullaryFnOnce for SplatVoxels<'_> {
-    type Output = (f64, Vec<DVec3>);
+    type Output = f64;
 
     #[inline(always)]
-    fn call(self) -> (f64, Vec<DVec3>) {
-        let SplatVoxels { scene, plane, lattice, image } = self;
-        let (mut highest, mut beyond) = (f64::MIN, Vec::new());
-        let step = lattice.steps(plane, scene.frame.pitch)[0];
-        let [_, ny, nz] = scene.voxels().dims();
+    fn call(self) -> f64 {
+        let SplatVoxels { scene, plane, least, images } = self;
+        let mut highest = f64::MIN;
+        let Some(((_, lattice, image), coarser)) = images.split_first_mut() else { return highest };
+        // What the loop looks at stays in registers, not behind a reference that a store might
+        // change.
+        let lattice = *lattice;
+        let widest = coarser.last().map_or(lattice, |(_, widest, _)| *widest);
+        let pitch = scene.frame.pitch;
+        let step = lattice.steps(plane, pitch)[0];
+        let wide_step = widest.steps(plane, pitch)[0].truncate();
+        let [nx, ny, nz] = scene.voxels().dims();
         for (y, z) in (0..nz).flat_map(|z| (0..ny).map(move |y| (y, z))) {
             let row = scene.voxels().row(y, z);
-            if row.iter().all(|w| *w == 0) {
+            let Some((lo, hi)) = ends(row) else { continue };
+            let centre = scene.frame.center([0, y, z]);
+            let across = plane.across(centre);
+            let first = lattice.place(across).extend(plane.height(centre));
+            let [p, q] = [lo, hi].map(|x| (first + step * x as f64).z);
+            let top = if p > q { p } else { q };
+            highest = if top > highest { top } else { highest };
+            if top < least {
                 continue;
             }
-            let centre = scene.frame.center([0, y, z]);
-            let first = lattice.place(plane.across(centre)).extend(plane.height(centre));
-            for (w, &bits) in row.iter().enumerate() {
+            // What falls beside the widest image is asked for by none.
+            let within = widest.steps_within(widest.place(across), wide_step, nx);
+            let (from, end) = (within.start.max(lo), within.end.min(hi + 1));
+            if from >= end {
+                continue;
+            }
+            let last = end - 1;
+            for (w, &bits) in row.iter().enumerate().take(last / 64 + 1).skip(from / 64) {
                 let mut rest = bits;
+                if w == from / 64 {
+                    rest &= !0 << (from % 64);
+                }
+                if w == last / 64 {
+                    rest &= !0 >> (63 - last % 64);
+                }
                 while rest != 0 {
                     let x = w * 64 + rest.trailing_zeros() as usize;
                     rest &= rest - 1;
                     let at = first + step * x as f64;
-                    highest = if at.z > highest { at.z } else { highest };
-                    match lattice.cell_at(at.truncate()).and_then(|c| image.get_mut(c)) {
-                        Some(c) => *c = if at.z as f32 > *c { at.z as f32 } else { *c },
-                        None => beyond.push(scene.frame.center([x, y, z])),
+                    if let Some(c) = lattice.cell_at(at.truncate()).and_then(|c| image.get_mut(c)) {
+                        *c = if at.z as f32 > *c { at.z as f32 } else { *c };
+                        continue;
                     }
+                    put(coarser, lattice.across(at.truncate()), at.z);
                 }
             }
         }
-        (highest, beyond)
+        highest
     }
+}
+
+/// The first and the last voxel of a row.
+#[inline(always)]
+fn ends(row: &[u64]) -> Option<(usize, usize)> {
+    let first = row.iter().position(|w| *w != 0)?;
+    let last = row.iter().rposition(|w| *w != 0)?;
+    let [lo, hi] = [row[first].trailing_zeros(), 63 - row[last].leading_zeros()];
+    Some((first * 64 + lo as usize, last * 64 + hi as usize))
 }
 
 /// The highest of the cells of an image that lie in each cell of a coarser one, where it is higher
 /// than what the coarser one has.
-pub fn pool(fine: &Lattice, from: &[f32], coarse: &Lattice, onto: &mut [f32]) {
+fn pool(fine: &Lattice, from: &[f32], coarse: &Lattice, onto: &mut [f32]) {
     let [columns, rows] = coarse.pooled(fine);
     let mut across = vec![f32::NEG_INFINITY; fine.nu];
     for (j, row) in rows.iter().enumerate() {

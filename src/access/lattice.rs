@@ -47,7 +47,7 @@ impl DepthMap {
 }
 
 /// The corners of a box.
-fn corners(b: &Aabb) -> [DVec3; 8] {
+pub(super) fn corners(b: &Aabb) -> [DVec3; 8] {
     std::array::from_fn(|i| {
         let pick = |bit: usize, lo: f64, hi: f64| if i >> bit & 1 == 0 { lo } else { hi };
         DVec3::new(pick(0, b.min.x, b.max.x), pick(1, b.min.y, b.max.y), pick(2, b.min.z, b.max.z))
@@ -116,6 +116,12 @@ impl Lattice {
         (uv - self.first) * self.per_mm
     }
 
+    /// (u, v), mm, of a [`Lattice::place`].
+    #[inline(always)]
+    pub fn across(&self, at: DVec2) -> DVec2 {
+        self.first + at * self.spacing
+    }
+
     /// What a step of `mm` along x, y, z adds to the place of a point (cells) and its height (mm).
     pub fn steps(&self, plane: &ImagePlane, mm: f64) -> [DVec3; 3] {
         let scale = mm * self.per_mm;
@@ -134,6 +140,26 @@ impl Lattice {
     pub fn cell_at(&self, at: DVec2) -> Option<usize> {
         let [i, j] = [nearest(at.x), nearest(at.y)].map(|n| n as u32 as usize);
         (i < self.nu && j < self.nv).then(|| i + self.nu * j)
+    }
+
+    /// The numbers below `n` of the steps from a [`Lattice::place`] that may lie in a cell: all that do
+    /// are among them.
+    #[inline(always)]
+    pub fn steps_within(&self, at: DVec2, step: DVec2, n: usize) -> Range<usize> {
+        let (mut lo, mut hi) = (0.0f64, n as f64);
+        for (a, cells) in [(0, self.nu), (1, self.nv)] {
+            // A cell reaches half a cell beyond its centre; the other half is for rounding.
+            let [from, to] = [-1.0 - at[a], cells as f64 - at[a]];
+            if step[a] == 0.0 {
+                hi = if from > 0.0 || to < 0.0 { 0.0 } else { hi };
+                continue;
+            }
+            let [p, q] = [from / step[a], to / step[a]];
+            lo = lo.max(p.min(q).floor());
+            hi = hi.min(p.max(q).ceil() + 1.0);
+        }
+        let lo = lo as usize;
+        lo..(hi.max(0.0) as usize).max(lo)
     }
 
     /// How far cell (0, 0) of `other`, of cells of the same size, lies from this one's.
@@ -182,5 +208,34 @@ impl Lattice {
                 from..((hi + 2.0).ceil().max(0.0) as usize).min(self.nu).max(from)
             })
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::Direction;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn no_step_that_lies_in_a_cell_is_left_out(
+            d in (-1.0f64..1.0, -1.0f64..1.0, 0.1f64..1.0),
+            at in (-40.0f64..40.0, -40.0f64..40.0),
+            size in 1.0f64..9.0,
+        ) {
+            let d = Direction::new(DVec3::new(d.0, d.1, d.2)).unwrap();
+            let frame = Frame { pitch: 0.5, dims: [8; 3], origin: DVec3::ZERO };
+            let plane = d.image_plane();
+            let b = Aabb { min: DVec3::ZERO, max: DVec3::splat(size) };
+            let lattice = Lattice::around(&frame, &b, &plane, 0.25, 1.0, 2);
+            let (at, step) = (DVec2::from(at), lattice.steps(&plane, 0.5)[0].truncate());
+            let within = lattice.steps_within(at, step, 100);
+            prop_assert!(within.is_empty() || within.end <= 101);
+            for x in 0..100 {
+                let inside = lattice.cell_at(at + step * x as f64).is_some();
+                prop_assert!(!inside || within.contains(&x), "{x} not in {within:?}");
+            }
+        }
     }
 }
