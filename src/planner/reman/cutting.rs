@@ -21,8 +21,6 @@ pub struct Cutting {
     pub steps: Vec<Step>,
     pub state: BitGrid,
     pub unreached: BitGrid,
-    /// Samples of the deep material that no direction reaches even past everything removable.
-    pub inaccessible: usize,
 }
 
 /// A direction with a tool and the deep material it could reach at best.
@@ -45,6 +43,9 @@ const COARSE_GAIN_SHARE: f64 = 0.002;
 const COARSE_PATIENCE: usize = 3;
 const PATIENCE: usize = 5;
 
+/// Voxels left up to which the coarse look, which slender tools mislead, has no say.
+const FEW: usize = 1000;
+
 /// A block that removes this share of what is left may have opened the way for others that were
 /// tried in vain.
 const RETRY_SHARE: f64 = 0.05;
@@ -53,16 +54,29 @@ const RETRY_SHARE: f64 = 0.05;
 /// which is rare twice in a row.
 const BRIDGE_ROUNDS: usize = 6;
 
-/// Cuts `removable` from the initial part as far as tools reach while the rest of it stands.
-/// Only material in `deep` decides which directions are taken; the rest (skin) goes along.
+/// Directions looked at together, each without what those before them reach.
+const AT_A_TIME: usize = 16;
+
+/// What is to be cut, and from how many directions at most.
+pub struct Cuts<'a> {
+    pub removable: &'a BitGrid,
+    /// The material that decides which directions are taken; the rest (skin) goes along.
+    pub deep: &'a BitGrid,
+    /// Sampled directions per hemisphere.
+    pub samples: usize,
+    /// Cuts of an earlier plan for nearly the same, made first as far as they still remove anything:
+    /// few others are then left to look for.
+    pub before: &'a [Step],
+}
+
+/// Cuts what is removable from the initial part as far as tools reach while the rest of it stands.
 pub fn cut_blocks(
     setting: &Setting,
     coarse: &Coarse,
-    removable: &BitGrid,
-    deep: &BitGrid,
-    samples: usize,
+    cuts: &Cuts,
     ctx: &Ctx,
 ) -> Result<Cutting, Cancelled> {
+    let Cuts { removable, deep, samples, before } = *cuts;
     let kept = setting.job.initial.minus(removable);
     let unreached = removable.and(deep);
     let mut cutter = Cutter {
@@ -73,21 +87,17 @@ pub fn cut_blocks(
         least: (COARSE_GAIN_SHARE * unreached.count() as f64) as usize,
         fine_kept: kept,
         cutters: setting.usual_cutters(),
-        cutting: Cutting {
-            steps: Vec::new(),
-            state: setting.job.initial.clone(),
-            unreached,
-            inaccessible: 0,
-        },
+        cutting: Cutting { steps: Vec::new(), state: setting.job.initial.clone(), unreached },
     };
-    cutter.cut(samples, ctx)?;
-    if cutter.cutters.len() < setting.cutters().len() && !cutter.cutting.unreached.is_empty() {
+    cutter.repeat(before, ctx)?;
+    // Where others follow, the usual cutters need not be looked at closely before them.
+    let alone = cutter.cutters.len() == setting.cutters().len();
+    cutter.cut(samples, alone, ctx)?;
+    if !alone && !cutter.cutting.unreached.is_empty() {
         cutter.cutters = setting.cutters();
-        cutter.cut(samples, ctx)?;
+        cutter.cut(samples, true, ctx)?;
     }
-    let mut cutting = cutter.cutting;
-    cutting.inaccessible = cutting.unreached.count();
-    Ok(cutting)
+    Ok(cutter.cutting)
 }
 
 /// What of some voxels any cutter reaches along any direction while just `kept` stands.
@@ -99,27 +109,31 @@ pub fn within_reach(
     ctx: &Ctx,
 ) -> Result<BitGrid, Cancelled> {
     let frame = &setting.job.frame;
-    let mut reached = BitGrid::new(some.dims());
+    let mut left = some.clone();
     for holding in 0..setting.holdings.len() {
         let fixed = setting.fixed(holding, kept);
         let scene = Scene::new(frame, kept, &fixed);
         let mut directions = setting.axes(holding);
         directions.extend(setting.sampled(holding, samples));
-        let left = some.minus(&reached);
-        let along: Vec<BitGrid> = directions
-            .par_iter()
-            .map(|d| {
-                ctx.check()?;
-                let mut any = BitGrid::new(some.dims());
-                for map in cutter_maps(&scene, &left, setting.cutters(), *d) {
-                    any.union_with(&reachable(&map, &left, frame));
-                }
-                Ok(any)
-            })
-            .collect::<Result<_, Cancelled>>()?;
-        along.iter().for_each(|a| reached.union_with(a));
+        for directions in directions.chunks(AT_A_TIME) {
+            if left.is_empty() {
+                return Ok(some.clone());
+            }
+            let along: Vec<BitGrid> = directions
+                .par_iter()
+                .map(|d| {
+                    ctx.check()?;
+                    let mut any = BitGrid::new(some.dims());
+                    for map in cutter_maps(&scene, &left, setting.cutters(), *d) {
+                        any.union_with(&reachable(&map, &left, frame));
+                    }
+                    Ok(any)
+                })
+                .collect::<Result<_, Cancelled>>()?;
+            along.iter().for_each(|a| left.subtract(a));
+        }
     }
-    Ok(reached)
+    Ok(some.minus(&left))
 }
 
 struct Cutter<'s, 'a> {
@@ -137,10 +151,31 @@ struct Cutter<'s, 'a> {
 }
 
 impl<'a> Cutter<'_, 'a> {
+    /// Makes the cuts of an earlier plan that still remove anything.
+    fn repeat(&mut self, before: &[Step], ctx: &Ctx) -> Result<(), Cancelled> {
+        let setting = self.setting;
+        for of_holding in before.chunk_by(|a, b| a.holding == b.holding) {
+            let holding = of_holding[0].holding;
+            let fixed = setting.fixed(holding, &self.cutting.state);
+            for step in of_holding {
+                ctx.check()?;
+                let Some(tool) = setting.cutters().iter().find(|t| t.name == step.tool) else {
+                    continue;
+                };
+                let rest = self.removable.and(&self.cutting.state);
+                let region = self.held_cut(rest, &fixed, tool, step.direction);
+                if region.count_and(&self.cutting.unreached) > 0 {
+                    self.push(region, tool, step.direction, holding);
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// All blocks, holding by holding: along the axes, along the samples that reach what the axes
-    /// left, then whatever the coarse look missed. Only the axes look at what a later holding
+    /// left, then, if `closely`, whatever the coarse look missed. Only the axes look at what a later holding
     /// reaches too: a pocket open below is left to the holding that has it open above.
-    fn cut(&mut self, samples: usize, ctx: &Ctx) -> Result<(), Cancelled> {
+    fn cut(&mut self, samples: usize, closely: bool, ctx: &Ctx) -> Result<(), Cancelled> {
         let setting = self.setting;
         let mut ahead: Option<(Vec<Reach<'a>>, Vec<Reach<'a>>)> = None;
         let mut past: Vec<Vec<Reach<'a>>> = Vec::new();
@@ -177,6 +212,9 @@ impl<'a> Cutter<'_, 'a> {
                 ahead = Some((axes, sampled));
             }
             self.take(&samples_here, holding, &fixed, Some(self.coarse), &later, ctx)?;
+            if !closely {
+                continue;
+            }
             let all: Vec<Reach> = axes.into_iter().chain(samples_here).collect();
             let fine = self.fine_bounds(&all, &fixed, &later, ctx)?;
             self.take(&fine, holding, &fixed, None, &later, ctx)?;
@@ -216,7 +254,8 @@ impl<'a> Cutter<'_, 'a> {
         Ok(reach.into_iter().flatten().collect())
     }
 
-    /// Upper bounds on the job's own grid, for what is left near each coarse bound.
+    /// Upper bounds on the job's own grid, for what is left near each coarse bound; of a few voxels
+    /// for all.
     fn fine_bounds(
         &self,
         coarse: &[Reach<'a>],
@@ -228,6 +267,7 @@ impl<'a> Cutter<'_, 'a> {
         let scene = Scene::new(frame, &self.fine_kept, fixed);
         let left = &self.cutting.unreached.minus(later);
         let wanted = self.coarse.any(left);
+        let few = left.count() <= FEW;
         let cutters = self.cutters;
         // The bounds of one direction stand together, one a tool.
         let fine: Vec<Vec<Reach<'a>>> = coarse
@@ -238,11 +278,14 @@ impl<'a> Cutter<'_, 'a> {
                 // A coarse bound may be wrong by a coarse voxel.
                 of_direction.iter().for_each(|r| doubtful.union_with(&r.bound.grown()));
                 doubtful.intersect_with(&wanted);
-                if doubtful.is_empty() {
+                if left.is_empty() || !few && doubtful.is_empty() {
                     return Ok(Vec::new());
                 }
                 let direction = of_direction[0].direction;
-                let near = self.coarse.refined(&doubtful, frame.dims).and(left);
+                let near = match few {
+                    true => left.clone(),
+                    false => self.coarse.refined(&doubtful, frame.dims).and(left),
+                };
                 let maps = cutter_maps(&scene, &near, cutters, direction);
                 let tools = cutters.iter().zip(&maps);
                 let reach = |(tool, map)| {
@@ -256,12 +299,17 @@ impl<'a> Cutter<'_, 'a> {
     }
 
     /// The over-cut along a direction that lets nothing come loose; empty where none does.
-    fn held_cut(&self, mut rest: BitGrid, fixed: &[DVec3], along: &Reach) -> BitGrid {
+    fn held_cut(
+        &self,
+        mut rest: BitGrid,
+        fixed: &[DVec3],
+        tool: &Tool,
+        direction: Direction,
+    ) -> BitGrid {
         let job = self.setting.job;
         let state = &self.cutting.state;
-        let Reach { direction, tool, .. } = along;
         for _ in 0..BRIDGE_ROUNDS {
-            let Cut { region, .. } = over_cut(&job.frame, state, &rest, fixed, tool, *direction);
+            let Cut { region, .. } = over_cut(&job.frame, state, &rest, fixed, tool, direction);
             let standing = state.minus(&region);
             let held = steady(&standing, &job.frame, job.rules.holding, job.rules.grip_mm);
             let loose = standing.minus(&held);
@@ -302,7 +350,7 @@ impl<'a> Cutter<'_, 'a> {
             let Some(next) = choose(reach, &gains, &barren) else { return Ok(()) };
             let chosen = &reach[next];
             let rest = self.removable.and(&self.cutting.state).minus(later);
-            let region = self.held_cut(rest, fixed, chosen);
+            let region = self.held_cut(rest, fixed, chosen.tool, chosen.direction);
             let gain = region.count_and(&self.cutting.unreached);
             tracing::debug!(
                 holding,
@@ -323,19 +371,24 @@ impl<'a> Cutter<'_, 'a> {
             if gain as f64 >= RETRY_SHARE * self.cutting.unreached.count() as f64 {
                 barren.clear();
             }
-            let cutting = &mut self.cutting;
-            cutting.state.subtract(&region);
-            cutting.unreached.subtract(&region);
-            cutting.steps.push(Step {
-                kind: StepKind::Subtractive,
-                tool: chosen.tool.name.clone(),
-                direction: chosen.direction,
-                holding,
-                region,
-                block: cutting.steps.len(),
-                origin: Origin { plane: None, action: Some(Action::OC) },
-            });
+            self.push(region, chosen.tool, chosen.direction, holding);
         }
+    }
+
+    /// Makes a cut.
+    fn push(&mut self, region: BitGrid, tool: &Tool, direction: Direction, holding: usize) {
+        let cutting = &mut self.cutting;
+        cutting.state.subtract(&region);
+        cutting.unreached.subtract(&region);
+        cutting.steps.push(Step {
+            kind: StepKind::Subtractive,
+            tool: tool.name.clone(),
+            direction,
+            holding,
+            region,
+            block: cutting.steps.len(),
+            origin: Origin { plane: None, action: Some(Action::OC) },
+        });
     }
 }
 

@@ -13,7 +13,7 @@
 //! Guarantees: those of cuts and deposits. A plan is made this way only if it ranks higher and
 //! leaves less. Not guaranteed: that nothing is left.
 
-use super::cutting::{cut_blocks, within_reach};
+use super::cutting::{Cuts, cut_blocks, within_reach};
 use super::printing::{OnSupports, Wanted, print_blocks, print_on_supports};
 use super::reasons::open_below;
 use super::round::{Attempt, Mending, along, deep, printed};
@@ -71,48 +71,24 @@ pub fn last_resort(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> 
             true => start.stock_under_planes(&plain, options, ctx)?,
             false => finished_stock(&plain),
         };
-        let none = BitGrid::new(job.frame.dims);
-        let (mut avoided, mut slim, mut ahead) = (none.clone(), none.clone(), none);
+        let mut care = Care::none(job);
+        let mut before = Vec::new();
         for round in 0..=AGAIN {
-            let on = supports.then_some(OnSupports {
-                direction: Direction::Z,
-                avoided: &avoided,
-                slim: &slim,
-                ahead: &ahead,
-            });
-            let made = start.finished(&plain, &stock, on, options, ctx)?;
+            let on = supports.then_some(care.of_supports());
+            let made = start.finished(&plain, &stock, on, &before, options, ctx)?;
             clock.lap("blocks");
             tracing::debug!(waits, supports, "last resort");
             made.tell("last resort", round);
             let best = better.as_ref().unwrap_or(&plain);
             let is_better = made.rank(job) <= best.rank(job) && made.left() < best.left();
-            let is_worse = made.left() > best.left();
-            // A support in a pocket that is open only below stands for good.
-            let stuck = made.excess.and(&made.printed_aside(job));
-            let crumbs = made.deficit.clone();
+            let is_worse = made.left() > best.left() && !few_crumbs(&made, job);
+            let ends = !supports || is_worse || ctx.out_of_time();
+            let again = !ends && care.learn(&start, &made, options, ctx)?;
+            before = made.cuts_after(stock.cuts.len());
             if is_better {
                 better = Some(made);
             }
-            let few = crumbs.count() as f64 <= MOST_CRUMBS * job.target.count() as f64;
-            if !supports || is_worse && !few || ctx.out_of_time() {
-                break;
-            }
-            let near = distance_within(&stuck, NEAR_STUCK).minus(&job.target);
-            let again = near.and(&slim);
-            let mut changed = !stuck.is_empty() && !again.is_subset_of(&avoided);
-            if !near.is_subset_of(&slim) {
-                slim.union_with(&distance_within(&stuck, SLIM_NEAR));
-                changed = true;
-            }
-            // Slim as they are, they were left again.
-            avoided.union_with(&again);
-            let open = within_reach(&setting, &job.target, &near, options.directions, ctx)?;
-            avoided.union_with(&near.minus(&open));
-            if few && !crumbs.is_subset_of(&ahead) {
-                ahead.union_with(&distance_within(&crumbs, AHEAD_MM / job.frame.pitch));
-                changed = true;
-            }
-            if !changed {
+            if !again {
                 break;
             }
         }
@@ -128,7 +104,75 @@ pub fn last_resort(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> 
     Ok(better)
 }
 
+/// Whether so little is missing that printing it first may help.
+fn few_crumbs(made: &Attempt, job: &Job) -> bool {
+    made.deficit.count() as f64 <= MOST_CRUMBS * job.target.count() as f64
+}
+
+/// What the rounds before tell the next one to heed.
+struct Care {
+    /// No supports stand here.
+    avoided: BitGrid,
+    /// They are slim here.
+    slim: BitGrid,
+    /// This is printed ahead of all else.
+    ahead: BitGrid,
+}
+
+impl Care {
+    fn none(job: &Job) -> Care {
+        let none = BitGrid::new(job.frame.dims);
+        Care { avoided: none.clone(), slim: none.clone(), ahead: none }
+    }
+
+    fn of_supports(&self) -> OnSupports<'_> {
+        let Care { avoided, slim, ahead } = self;
+        OnSupports { direction: Direction::Z, avoided, slim, ahead }
+    }
+
+    /// Takes in what a round left; whether the next one may leave less.
+    fn learn(
+        &mut self,
+        start: &Start,
+        made: &Attempt,
+        options: &Options,
+        ctx: &Ctx,
+    ) -> Result<bool, PlanError> {
+        let job = start.setting.job;
+        // A support in a pocket that is open only below stands for good.
+        let stuck = made.excess.and(&made.printed_aside(job));
+        let near = distance_within(&stuck, NEAR_STUCK).minus(&job.target);
+        // Slim as they are, they were left again.
+        let again = near.and(&self.slim);
+        let mut changed = !stuck.is_empty() && !again.is_subset_of(&self.avoided);
+        if !near.is_subset_of(&self.slim) {
+            self.slim.union_with(&distance_within(&stuck, SLIM_NEAR));
+            changed = true;
+        }
+        self.avoided.union_with(&again);
+        let open = within_reach(start.setting, &job.target, &near, options.directions, ctx)?;
+        self.avoided.union_with(&near.minus(&open));
+        tracing::debug!(
+            stuck = stuck.count(),
+            hopeless = stuck.minus(&open).count(),
+            again = again.count(),
+            "supports left"
+        );
+        if few_crumbs(made, job) && !made.deficit.is_subset_of(&self.ahead) {
+            self.ahead.union_with(&distance_within(&made.deficit, AHEAD_MM / job.frame.pitch));
+            changed = true;
+        }
+        Ok(changed)
+    }
+}
+
 impl Attempt {
+    /// Its cuts, those that are no longer of the stock alone.
+    fn cuts_after(&self, stock_cuts: usize) -> Vec<Step> {
+        let cuts = self.steps.iter().filter(|s| s.kind == StepKind::Subtractive);
+        cuts.skip(stock_cuts).cloned().collect()
+    }
+
     /// Deposits outside the target.
     fn printed_aside(&self, job: &Job) -> BitGrid {
         let mut printed = BitGrid::new(job.frame.dims);
@@ -156,17 +200,21 @@ impl Start<'_> {
         let mut first = BitGrid::new(removed.dims());
         plain.clips.iter().for_each(|c| first.union_with(&c.clipped(removed, frame)));
         let deep = first.minus(&setting.skin(&plain.volumes.reused));
-        let cutting = cut_blocks(setting, self.coarse, &first, &deep, options.directions, ctx)?;
+        let samples = options.directions;
+        let cuts = Cuts { removable: &first, deep: &deep, samples, before: &[] };
+        let cutting = cut_blocks(setting, self.coarse, &cuts, ctx)?;
         Ok(Stock { cuts: cutting.steps, state: cutting.state })
     }
 
     /// From a stock: deposits on supports, none of which stands where they are to be avoided, cuts
-    /// of what stands outside the target, and deposits of what is still missing.
+    /// of what stands outside the target, those of a round before first, and deposits of what is
+    /// still missing.
     fn finished(
         &self,
         plain: &Attempt,
         stock: &Stock,
         on: Option<OnSupports>,
+        before: &[Step],
         options: &Options,
         ctx: &Ctx,
     ) -> Result<Attempt, PlanError> {
@@ -191,7 +239,9 @@ impl Start<'_> {
         let next = setting.of_next_round(&next_job, setting.old_of(reused));
         let removed = next_job.initial.minus(&job.target);
         let deep = removed.minus(&skin);
-        let cutting = cut_blocks(&next, self.coarse, &removed, &deep, options.directions, ctx)?;
+        let samples = options.directions;
+        let cuts = Cuts { removable: &removed, deep: &deep, samples, before };
+        let cutting = cut_blocks(&next, self.coarse, &cuts, ctx)?;
         let still = Wanted { state: &cutting.state, added: &printing.unreached, ..wanted };
         let last = print_blocks(&next, self.coarse, &still, &[], ctx)?;
         let mut steps = stock.cuts.clone();

@@ -2,7 +2,7 @@
 
 use super::clip::Clip;
 use super::coarse::Coarse;
-use super::cutting::cut_blocks;
+use super::cutting::{Cuts, cut_blocks};
 use super::printing::{Printing, Share, Wanted, print_blocks};
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
@@ -151,8 +151,13 @@ pub fn attempt(
     let volumes = volumes(job, &clips);
     let (deep_removed, added) = deep(setting, &volumes);
     let along = along(&clips, preferred);
-    let cutting =
-        cut_blocks(setting, coarse, &volumes.removed, &deep_removed, options.directions, ctx)?;
+    let cuts = Cuts {
+        removable: &volumes.removed,
+        deep: &deep_removed,
+        samples: options.directions,
+        before: &[],
+    };
+    let cutting = cut_blocks(setting, coarse, &cuts, ctx)?;
     // Material given up because nothing would hold it may be skin that no cut took: it stands.
     let added = added.minus(&cutting.state);
     let skin = setting.skin(&volumes.reused);
