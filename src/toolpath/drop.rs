@@ -14,6 +14,9 @@ use crate::machine::{Shape, Tool};
 /// Width at which the search along an edge stops, mm: the height is then exact to its square.
 const EDGE_MM: f64 = 1e-6;
 
+/// Margin of bounds, mm: above their rounding, which is largest at the rim, where an end is steep.
+const BOUND_MM: f64 = 1e-5;
+
 /// The end of a cutter, up to its radius.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum End {
@@ -73,6 +76,16 @@ impl End {
         let (flat, round) = self.torus();
         let over = (rho - flat).max(0.0);
         round - (round * round - over * over).max(0.0).sqrt()
+    }
+
+    /// Upper bound of the tip's height over what lies in a box across and no higher than `top`: there
+    /// the end is as high as at the box's nearest point, or higher. Minus infinity beyond the radius.
+    fn at_most(&self, top: f64, at: DVec2, low: DVec2, high: DVec2) -> f64 {
+        let apart = (low - at).max(at - high).max(DVec2::ZERO).length();
+        if apart > self.radius() + BOUND_MM {
+            return f64::NEG_INFINITY;
+        }
+        top - self.lower(apart) + BOUND_MM
     }
 
     /// Tip height at which the end, its axis through `at`, touches the triangle; none when it
@@ -177,12 +190,14 @@ pub struct DropCutter {
     lists: Vec<u32>,
 }
 
-/// Cells along one axis: more only cost memory.
+/// Cells along one axis: more only cost memory, fewer hold too many triangles each, which matters
+/// to ends as wide as the part.
 const MOST_CELLS: f64 = 1024.0;
+const LEAST_CELLS: f64 = 32.0;
 
 impl DropCutter {
-    /// Triangles given as (u, v, height); `cell` mm is best near the cutter's radius.
-    pub fn new(triangles: Vec<[DVec3; 3]>, cell: f64) -> DropCutter {
+    /// Triangles given as (u, v, height), for ends of about this `radius`, mm.
+    pub fn new(triangles: Vec<[DVec3; 3]>, radius: f64) -> DropCutter {
         let (mut lo, mut hi) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for p in triangles.iter().flatten() {
             (lo, hi) = (lo.min(p.truncate()), hi.max(p.truncate()));
@@ -190,14 +205,14 @@ impl DropCutter {
         if triangles.is_empty() {
             (lo, hi) = (DVec2::ZERO, DVec2::ZERO);
         }
-        let cell = cell.max((hi - lo).max_element() / MOST_CELLS).max(1e-6);
+        let extent = (hi - lo).max_element();
+        let cell = radius.min(extent / LEAST_CELLS).max(extent / MOST_CELLS).max(1e-6);
         let n = ((hi - lo) / cell).floor();
         let n = [n.x as usize + 1, n.y as usize + 1];
         let mut drop =
             DropCutter { triangles, origin: lo, cell, n, starts: Vec::new(), lists: Vec::new() };
         let mut order: Vec<u32> = (0..drop.triangles.len() as u32).collect();
-        let top = |t: u32| drop.triangles[t as usize].iter().map(|p| p.z).fold(f64::MIN, f64::max);
-        order.sort_by(|a, b| top(*b).total_cmp(&top(*a)).then(a.cmp(b)));
+        order.sort_by(|a, b| drop.top(*b).total_cmp(&drop.top(*a)).then(a.cmp(b)));
         let mut starts = vec![0u32; n[0] * n[1] + 1];
         for &t in &order {
             drop.cells_under(t).for_each(|c| starts[c + 1] += 1);
@@ -236,25 +251,48 @@ impl DropCutter {
     /// is no triangle within the radius.
     pub fn height(&self, end: End, at: DVec2) -> Option<f64> {
         let reach = DVec2::splat(end.radius());
-        let mut best = f64::NEG_INFINITY;
-        for c in self.cells(at - reach, at + reach) {
-            for &t in &self.lists[self.starts[c] as usize..self.starts[c + 1] as usize] {
-                let corners = &self.triangles[t as usize];
-                let [a, b, c] = *corners;
-                // The tip is never above the triangle's top; the others are lower still.
-                if a.z.max(b.z).max(c.z) <= best {
-                    break;
-                }
-                let (low, high) = (a.min(b).min(c).truncate(), a.max(b).max(c).truncate());
-                if low.cmpgt(at + reach).any() || high.cmplt(at - reach).any() {
-                    continue;
-                }
-                if let Some(z) = end.touch(at, corners, best) {
-                    best = best.max(z);
-                }
+        let ([i0, j0], [i1, j1]) = (self.clamped(at - reach), self.clamped(at + reach));
+        // Under the axis the tip is likely to touch; the others then need no look, most of them.
+        let [i, j] = self.clamped(at);
+        let mut best = self.height_over([i, j], end, at, f64::NEG_INFINITY);
+        for other in (j0..=j1).flat_map(|j| (i0..=i1).map(move |i| [i, j])) {
+            if other != [i, j] {
+                best = self.height_over(other, end, at, best);
             }
         }
         best.is_finite().then_some(best)
+    }
+
+    /// The greatest of a height and those of the triangles under a cell.
+    fn height_over(&self, [i, j]: [usize; 2], end: End, at: DVec2, mut best: f64) -> f64 {
+        let c = i + self.n[0] * j;
+        let list = &self.lists[self.starts[c] as usize..self.starts[c + 1] as usize];
+        let Some(&first) = list.first() else { return best };
+        let from = self.origin + DVec2::new(i as f64, j as f64) * self.cell;
+        if end.at_most(self.top(first), at, from, from + self.cell) <= best {
+            return best;
+        }
+        for &t in list {
+            // The tip is never above the triangle's top; the others are lower still.
+            if self.top(t) <= best {
+                break;
+            }
+            let corners = &self.triangles[t as usize];
+            let [a, b, c] = corners.map(DVec3::truncate);
+            if end.at_most(self.top(t), at, a.min(b).min(c), a.max(b).max(c)) <= best {
+                continue;
+            }
+            if let Some(z) = end.touch(at, corners, best) {
+                best = best.max(z);
+            }
+        }
+        best
+    }
+
+    /// Height of the highest corner of a triangle.
+    fn top(&self, t: u32) -> f64 {
+        let [a, b, c] = &self.triangles[t as usize];
+        a.z.max(b.z).max(c.z)
     }
 }
 
@@ -303,6 +341,33 @@ mod tests {
                 if exact.is_finite() && sampled.is_finite() && end != ENDS[1] {
                     let steep = (t[1] - t[0]).cross(t[2] - t[0]).normalize_or_zero().z.abs() < 0.3;
                     prop_assert!(steep || exact - sampled < 0.35, "{end:?}: {exact} {sampled}");
+                }
+            }
+        }
+    }
+
+    /// Whatever the bounds pass over is lower: the height is that of all triangles, to the last bit.
+    #[test]
+    fn the_height_is_that_of_every_triangle_looked_at() {
+        let mut rng = crate::base::rng(7, 0);
+        let mut number = |from: f64, to: f64| rand::RngExt::random_range(&mut rng, from..to);
+        let triangles: Vec<[DVec3; 3]> = (0..300)
+            .map(|_| {
+                let middle = DVec3::new(number(-20.0, 20.0), number(-9.0, 9.0), number(-3.0, 3.0));
+                [0; 3].map(|_| {
+                    middle + DVec3::new(number(-2.0, 2.0), number(-2.0, 2.0), number(-2.0, 2.0))
+                })
+            })
+            .collect();
+        for radius in [0.4, 2.0, 9.0, 60.0] {
+            let drop = DropCutter::new(triangles.clone(), radius);
+            let bull = End::Bull { radius, corner: radius / 3.0 };
+            for end in [End::Ball { radius }, End::Flat { radius }, bull] {
+                for _ in 0..60 {
+                    let at = DVec2::new(number(-30.0, 30.0), number(-12.0, 12.0));
+                    let all = triangles.iter().filter_map(|t| end.touch(at, t, f64::NEG_INFINITY));
+                    let all = all.reduce(f64::max);
+                    assert_eq!(drop.height(end, at), all, "{end:?} at {at}");
                 }
             }
         }
