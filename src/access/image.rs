@@ -1,7 +1,8 @@
 //! Depth images: the highest obstacle points over the cells of a lattice, and images of coarser
 //! cells.
 //!
-//! Guarantees: a coarse cell is the highest of the fine cells that lie in it, which none straddles.
+//! Guarantees: a coarse cell is the highest of the fine cells that lie in it, which none straddles,
+//! and of the points beyond the finer images that lie in it.
 
 use super::Scene;
 use super::cells::Cells;

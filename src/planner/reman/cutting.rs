@@ -3,7 +3,8 @@
 //! A block is one over-cut on the state left by the one before it, so its order is valid by
 //! construction. Which direction comes next is decided by an upper bound computed once per
 //! direction and tool: what it could reach if everything removable were gone. Bounds come from the
-//! coarse grid; what the blocks chosen by them leave is looked for again on the job's own.
+//! coarse grid; what the blocks chosen by them leave is looked for again on the job's own, a few
+//! voxels along every direction. Cuts that an earlier plan for nearly the same took come first.
 
 use super::bridges::bridges;
 use super::coarse::Coarse;
@@ -43,7 +44,8 @@ const COARSE_GAIN_SHARE: f64 = 0.002;
 const COARSE_PATIENCE: usize = 3;
 const PATIENCE: usize = 5;
 
-/// Voxels left up to which the coarse look, which slender tools mislead, has no say.
+/// Voxels left up to which the coarse look, which slender tools mislead, has no say: so few cost
+/// hardly more along every direction than along some. With none, a real bracket kept its last voxel.
 const FEW: usize = 1000;
 
 /// A block that removes this share of what is left may have opened the way for others that were
@@ -54,7 +56,8 @@ const RETRY_SHARE: f64 = 0.05;
 /// which is rare twice in a row.
 const BRIDGE_ROUNDS: usize = 6;
 
-/// Directions looked at together, each without what those before them reach.
+/// Directions looked at together, without what those before them reach: more leave more to each,
+/// fewer keep threads waiting for the last.
 const AT_A_TIME: usize = 16;
 
 /// What is to be cut, and from how many directions at most.
@@ -173,8 +176,8 @@ impl<'a> Cutter<'_, 'a> {
     }
 
     /// All blocks, holding by holding: along the axes, along the samples that reach what the axes
-    /// left, then, if `closely`, whatever the coarse look missed. Only the axes look at what a later holding
-    /// reaches too: a pocket open below is left to the holding that has it open above.
+    /// left, then, if `closely`, whatever the coarse look missed. Only the axes look at what a later
+    /// holding reaches too: a pocket open below is left to the holding that has it open above.
     fn cut(&mut self, samples: usize, closely: bool, ctx: &Ctx) -> Result<(), Cancelled> {
         let setting = self.setting;
         let mut ahead: Option<(Vec<Reach<'a>>, Vec<Reach<'a>>)> = None;

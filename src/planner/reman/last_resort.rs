@@ -5,9 +5,9 @@
 //! first block begins on the face that a plane leaves. Then come deposits straight up, on supports
 //! where neither part nor stock carries them (`supports`), cuts of all that stands outside the
 //! target, and deposits of what is still missing. Where the cutters leave some of the supports, all
-//! is tried again with none that they would not reach, and slim ones near the others; where crumbs
-//! are missing in creases that close before their turn, what lies around them is printed ahead of
-//! all else. If this way leaves something, the stock is cut before anything is printed, once
+//! is tried again, the same cuts first, with none that they would not reach and slim ones near the
+//! others; where crumbs are missing in creases that close before their turn, what lies around them
+//! is printed ahead of all else. If this way leaves something, the stock is cut before anything is printed, once
 //! without supports and once with them.
 //!
 //! Guarantees: those of cuts and deposits. A plan is made this way only if it ranks higher and
