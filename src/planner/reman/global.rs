@@ -23,41 +23,55 @@ const ROUNDS: usize = 2;
 /// Share of its distance to the base by which a plane moves when a new cover changes nothing.
 const SHIFT_SHARE: f64 = 0.3;
 
+/// A choice of planes, and what its first cover gives.
+pub struct Promise<'n> {
+    pub admissible: Admissible<'n>,
+    pub planes: Vec<Plane>,
+    /// Whether the look on the coarse grid, if there was one, says that blocks alone leave more than
+    /// the rules allow.
+    pub is_hopeless: bool,
+    /// What the cover told.
+    pub notes: Vec<String>,
+}
+
 /// Of several choices of planes the one whose first cover leaves least on the coarse grid; of
-/// equals the first.
+/// equals the first. A single one is not looked at.
 pub fn most_promising<'n>(
     run: &mut Run,
     first: &Volumes,
     of: &[Admissible<'n>],
-) -> Result<Admissible<'n>, PlanError> {
+) -> Result<Promise<'n>, PlanError> {
     let Run { start, options, report, clock, ctx, .. } = run;
-    let mut covers: Vec<(Admissible, Vec<Plane>)> = Vec::new();
+    let mut covers: Vec<Promise> = Vec::new();
     for admissible in of {
         let setting = start.setting;
         let planes = choose(setting, first, &start.bad_bases, admissible, options, report)?;
-        if covers.iter().all(|(_, known)| *known != planes) {
-            covers.push((*admissible, planes));
+        if covers.iter().all(|known| known.planes != planes) {
+            let (admissible, notes) = (*admissible, report.notes.clone());
+            covers.push(Promise { admissible, planes, is_hopeless: false, notes });
         }
     }
     clock.lap("set_cover");
-    if let [(only, _)] = covers[..] {
-        return Ok(only);
+    if covers.len() == 1 {
+        return Ok(covers.remove(0));
     }
     let job = start.coarse.as_job();
     let (setting, look) = (Setting::new(&job), Coarse::of(&job));
-    let mut best: Option<((u8, usize), Admissible)> = None;
-    for (admissible, planes) in covers {
-        let clips = planes.into_iter().map(Clip::global).collect();
+    let mut best: Option<((u8, usize), Promise)> = None;
+    for cover in covers {
+        let clips = cover.planes.iter().map(|p| Clip::global(*p)).collect();
         let how = (*options, Mending::None);
         let made = attempt(&setting, &look, clips, &start.preferred, how, ctx)?;
         let rank = made.rank(&job);
-        tracing::debug!(keeps_base = admissible.keeps_base, ?rank, "cover");
+        tracing::debug!(keeps_base = cover.admissible.keeps_base, ?rank, "cover");
         if best.as_ref().is_none_or(|(r, _)| rank < *r) {
-            best = Some((rank, admissible));
+            report.count_inaccessible(&job, &made.excess, &made.deficit);
+            let is_hopeless = !made.is_valid(&job);
+            best = Some((rank, Promise { is_hopeless, ..cover }));
         }
     }
     clock.lap("blocks");
-    best.map(|(_, admissible)| admissible).ok_or(PlanError::Cancelled)
+    best.map(|(_, promise)| promise).ok_or(PlanError::Cancelled)
 }
 
 /// The best attempt under global planes.

@@ -13,14 +13,16 @@
 //! Guarantees: those of cuts and deposits. A plan is made this way only if it ranks higher and
 //! leaves less. Not guaranteed: that nothing is left.
 
+use super::clip::Clip;
 use super::cutting::{Cuts, cut_blocks, within_reach};
 use super::printing::{OnSupports, Wanted, print_blocks, print_on_supports};
 use super::reasons::open_below;
-use super::round::{Attempt, Mending, along, deep, printed};
+use super::round::{Attempt, Mending, along, deep, printed, volumes};
 use super::{Options, Run, Start};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
+use crate::region::Volumes;
 use crate::voxel::{BitGrid, distance_within};
 
 /// How often all is tried again without the supports that the cutters left, and with what was missing
@@ -47,61 +49,100 @@ struct Stock {
     state: BitGrid,
 }
 
-/// The best of an attempt and what the last resort makes of its planes.
-pub fn last_resort(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> {
-    let Run { start, options, report, clock, ctx, .. } = run;
-    let setting = start.setting.with_last_resort();
-    let job = setting.job;
-    let start = Start {
-        setting: &setting,
-        coarse: start.coarse,
-        preferred: start.preferred.clone(),
-        bad_bases: start.bad_bases.clone(),
-    };
-    let mut better: Option<Attempt> = None;
+/// Planes, and the volumes under them.
+pub struct UnderPlanes {
+    pub clips: Vec<Clip>,
+    pub volumes: Volumes,
+}
+
+impl UnderPlanes {
+    pub fn of(job: &Job, clips: Vec<Clip>) -> Self {
+        UnderPlanes { volumes: volumes(job, &clips), clips }
+    }
+}
+
+/// The best of an attempt and what the last resort makes of its planes; `on_supports` is what
+/// [`on_supports`] made, where that is known.
+pub fn last_resort(
+    run: &mut Run,
+    plain: Attempt,
+    on_supports: Option<Attempt>,
+) -> Result<Attempt, PlanError> {
+    let setting = run.start.setting.with_last_resort();
+    let start = run.start.in_setting(&setting);
+    let (clips, volumes) = (plain.clips.clone(), plain.volumes.clone());
+    let under = UnderPlanes { clips, volumes };
+    let finished = finished_stock(&plain);
+    let mut known = on_supports.filter(|o| o.clips == plain.clips);
+    let mut best = plain;
     for (waits, supports) in [(true, true), (false, false), (false, true)] {
-        if better.as_ref().unwrap_or(&plain).residual() == 0 || ctx.out_of_time() {
+        if best.residual() == 0 || run.ctx.out_of_time() {
             break;
         }
-        let unlike_before = if supports { options.supports } else { setting.has_last_resort() };
-        if !unlike_before || waits && plain.clips.is_empty() {
+        let unlike_before = if supports { run.options.supports } else { setting.has_last_resort() };
+        if !unlike_before || waits && under.clips.is_empty() {
             continue;
         }
-        let stock = match waits {
-            true => start.stock_under_planes(&plain, options, ctx)?,
-            false => finished_stock(&plain),
+        let made = match (waits, known.take()) {
+            (true, Some(known)) => is_better(&known, &best, setting.job).then_some(known),
+            (true, None) => {
+                let stock = start.stock_under_planes(&under, run.options, run.ctx)?;
+                rounds(run, &start, (&under, &stock), supports, Some(&best))?
+            }
+            (false, _) => rounds(run, &start, (&under, &finished), supports, Some(&best))?,
         };
-        let mut care = Care::none(job);
-        let mut before = Vec::new();
-        for round in 0..=AGAIN {
-            let on = supports.then_some(care.of_supports());
-            let made = start.finished(&plain, &stock, on, &before, options, ctx)?;
-            clock.lap("blocks");
-            tracing::debug!(waits, supports, "last resort");
-            made.tell("last resort", round);
-            let best = better.as_ref().unwrap_or(&plain);
-            let is_better = made.rank(job) <= best.rank(job) && made.left() < best.left();
-            let is_worse = made.left() > best.left() && !few_crumbs(&made, job);
-            let ends = !supports || is_worse || ctx.out_of_time();
-            let again = !ends && care.learn(&start, &made, options, ctx)?;
-            before = made.cuts_after(stock.cuts.len());
-            if is_better {
-                better = Some(made);
-            }
-            if !again {
-                break;
-            }
+        best = made.unwrap_or(best);
+    }
+    Ok(best)
+}
+
+/// What comes of planes when the stock below them waits and deposits stand on supports; none where
+/// time is over.
+pub fn on_supports(run: &mut Run, under: &UnderPlanes) -> Result<Option<Attempt>, PlanError> {
+    let setting = run.start.setting.with_last_resort();
+    let start = run.start.in_setting(&setting);
+    let stock = start.stock_under_planes(under, run.options, run.ctx)?;
+    rounds(run, &start, (under, &stock), true, None)
+}
+
+/// Deposits on a stock and cuts of what then stands outside the target, again and again while that
+/// may leave less; the best of them, if it is better than `than`.
+fn rounds(
+    run: &mut Run,
+    start: &Start,
+    (under, stock): (&UnderPlanes, &Stock),
+    supports: bool,
+    than: Option<&Attempt>,
+) -> Result<Option<Attempt>, PlanError> {
+    let Run { options, clock, ctx, .. } = run;
+    let job = start.setting.job;
+    let mut better: Option<Attempt> = None;
+    let mut care = Care::none(job);
+    let mut before = Vec::new();
+    for round in 0..=AGAIN {
+        let on = supports.then_some(care.of_supports());
+        let made = start.finished(under, stock, on, &before, options, ctx)?;
+        clock.lap("blocks");
+        tracing::debug!(supports, "last resort");
+        made.tell("last resort", round);
+        let best = better.as_ref().or(than);
+        let is_worse = best.is_some_and(|b| made.left() > b.left()) && !few_crumbs(&made, job);
+        let ends = !supports || is_worse || ctx.out_of_time();
+        let again = !ends && care.learn(start, &made, options, ctx)?;
+        before = made.cuts_after(stock.cuts.len());
+        if best.is_none_or(|b| is_better(&made, b, job)) {
+            better = Some(made);
+        }
+        if !again {
+            break;
         }
     }
-    let Some(better) = better else { return Ok(plain) };
-    let aside = better.printed_aside(job).count();
-    if aside > 0 {
-        report.notes.push(format!(
-            "{:.1} mm³ of supports are printed and cut away again, since without them more is left.",
-            aside as f64 * job.frame.voxel_volume()
-        ));
-    }
     Ok(better)
+}
+
+/// Whether one attempt ranks no lower than another and leaves less.
+fn is_better(one: &Attempt, other: &Attempt, job: &Job) -> bool {
+    one.rank(job) <= other.rank(job) && one.left() < other.left()
 }
 
 /// Whether so little is missing that printing it first may help.
@@ -174,7 +215,7 @@ impl Attempt {
     }
 
     /// Deposits outside the target.
-    fn printed_aside(&self, job: &Job) -> BitGrid {
+    pub fn printed_aside(&self, job: &Job) -> BitGrid {
         let mut printed = BitGrid::new(job.frame.dims);
         let additive = self.steps.iter().filter(|s| s.kind == StepKind::Additive);
         additive.for_each(|s| printed.union_with(&s.region));
@@ -191,15 +232,15 @@ impl Start<'_> {
     /// What is removed above the planes is cut, the rest stands.
     fn stock_under_planes(
         &self,
-        plain: &Attempt,
+        under: &UnderPlanes,
         options: &Options,
         ctx: &Ctx,
     ) -> Result<Stock, PlanError> {
         let (setting, frame) = (self.setting, &self.setting.job.frame);
-        let removed = &plain.volumes.removed;
+        let removed = &under.volumes.removed;
         let mut first = BitGrid::new(removed.dims());
-        plain.clips.iter().for_each(|c| first.union_with(&c.clipped(removed, frame)));
-        let deep = first.minus(&setting.skin(&plain.volumes.reused));
+        under.clips.iter().for_each(|c| first.union_with(&c.clipped(removed, frame)));
+        let deep = first.minus(&setting.skin(&under.volumes.reused));
         let samples = options.directions;
         let cuts = Cuts { removable: &first, deep: &deep, samples, before: &[] };
         let cutting = cut_blocks(setting, self.coarse, &cuts, ctx)?;
@@ -211,7 +252,7 @@ impl Start<'_> {
     /// still missing.
     fn finished(
         &self,
-        plain: &Attempt,
+        under: &UnderPlanes,
         stock: &Stock,
         on: Option<OnSupports>,
         before: &[Step],
@@ -219,11 +260,11 @@ impl Start<'_> {
         ctx: &Ctx,
     ) -> Result<Attempt, PlanError> {
         let (setting, job) = (self.setting, self.setting.job);
-        let reused = &plain.volumes.reused;
+        let reused = &under.volumes.reused;
         let skin = setting.skin(reused);
-        let (_, added) = deep(setting, &plain.volumes);
+        let (_, added) = deep(setting, &under.volumes);
         let added = added.minus(&stock.state);
-        let preferred = along(&plain.clips, &self.preferred);
+        let preferred = along(&under.clips, &self.preferred);
         let wanted = Wanted {
             state: &stock.state,
             added: &added,
@@ -253,8 +294,8 @@ impl Start<'_> {
         let excess = cutting.unreached;
         let below = open_below(setting, self.coarse, reused, &excess, ctx)?;
         Ok(Attempt {
-            clips: plain.clips.clone(),
-            volumes: plain.volumes.clone(),
+            clips: under.clips.clone(),
+            volumes: under.volumes.clone(),
             steps,
             cuts: stock.cuts.len(),
             stock: stock.state.clone(),

@@ -36,7 +36,7 @@ const LEAST_COARSE_MM3: f64 = 8.0;
 
 /// The best attempt under local planes; none where they promise to keep no more than `best` does.
 pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, PlanError> {
-    let Run { start, normals, options, report, clock, ctx } = run;
+    let Run { start, normals, options, report, clock, ctx, .. } = run;
     let job = start.setting.job;
     let cells = Coarse::cells(job);
     let ideal = job.ideal_reuse();
@@ -61,7 +61,7 @@ pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pla
 
 /// An attempt with local planes added for what it left, as long as that makes it better.
 pub fn improved(run: &mut Run, mut best: Attempt) -> Result<Attempt, PlanError> {
-    let Run { start, normals, options, report, clock, ctx } = run;
+    let Run { start, normals, options, report, clock, ctx, .. } = run;
     let job = start.setting.job;
     let cells = Coarse::cells(job);
     let scope = Scope::new(start.setting, &cells, &job.ideal_reuse());

@@ -82,7 +82,7 @@ use clip::Clip;
 use coarse::Coarse;
 use compared::{bottom_up, top_down};
 use global::{choose, global_route, most_promising};
-use last_resort::last_resort;
+use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
 use round::{Attempt, deep, volumes};
 use setting::Setting;
@@ -201,12 +201,22 @@ struct Start<'a> {
     bad_bases: Vec<Element>,
 }
 
+impl Start<'_> {
+    /// The same with other tools or holdings.
+    fn in_setting<'b>(&'b self, setting: &'b Setting<'b>) -> Start<'b> {
+        let (preferred, bad_bases) = (self.preferred.clone(), self.bad_bases.clone());
+        Start { setting, coarse: self.coarse, preferred, bad_bases }
+    }
+}
+
 /// What a route is handed.
 struct Run<'a> {
     start: &'a Start<'a>,
     /// Normals of candidate planes.
     normals: &'a [Direction],
     options: &'a Options,
+    /// What supports made of the first planes, where that was looked at before all else.
+    on_supports: Option<Attempt>,
     report: Report,
     clock: Clock,
     ctx: &'a Ctx,
@@ -298,7 +308,9 @@ fn one_round(
     report.tell_planes(job, &planes);
     clock.lap("set_cover");
     let start = Start { setting, coarse: &coarse, preferred, bad_bases };
-    let mut run = Run { start: &start, normals: &normals, options, report, clock, ctx };
+    let on_supports = None;
+    let mut run =
+        Run { start: &start, normals: &normals, options, on_supports, report, clock, ctx };
     let attempts = match options.search {
         Search::Mcts | Search::Random => searched(&mut run, &first)?,
         Search::TopDown => vec![top_down(&mut run, planes)?],
@@ -309,13 +321,15 @@ fn one_round(
         if best.as_ref().is_some_and(|b| is_complete(b, job)) {
             break;
         }
-        let made = last_resort(&mut run, attempt)?;
+        let known = run.on_supports.take();
+        let made = last_resort(&mut run, attempt, known)?;
         if best.as_ref().is_none_or(|b| made.rank(job) < b.rank(job)) {
             best = Some(made);
         }
     }
     let best = best.ok_or(PlanError::Cancelled)?;
     let Run { mut report, clock, .. } = run;
+    report.note_supports(job, best.printed_aside(job).count());
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
     Ok((best, report))
@@ -332,19 +346,27 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
         // Where the part still stands on the base, deposits can begin there as well.
         admissible.push(Admissible { normals: &upright, keeps_base: true });
     }
-    let chosen = most_promising(run, first, &admissible)?;
-    let global = global_route(run, first, &chosen)?;
+    let promise = most_promising(run, first, &admissible)?;
+    if promise.is_hopeless {
+        let clips = promise.planes.iter().map(|p| Clip::global(*p)).collect();
+        let under = UnderPlanes::of(job, clips);
+        if run.options.supports && under.volumes.added.count() > LOCAL_VOXELS {
+            run.report.tell_planes(job, &promise.planes);
+            run.report.notes = promise.notes;
+            run.on_supports = on_supports(run, &under)?;
+            if run.on_supports.as_ref().is_some_and(|made| is_complete(made, job)) {
+                run.report.note_too_large(under.volumes.added.count());
+                return Ok(run.on_supports.take().into_iter().collect());
+            }
+        }
+    }
+    let global = global_route(run, first, &promise.admissible)?;
     let kept = global.volumes.reused.count() as f64;
     let most = first.reused.count() as f64;
     let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
     let too_large = global.printed() > LOCAL_VOXELS;
     if too_large && !is_complete(&global, job) {
-        run.report.notes.push(format!(
-            "Local planes were not looked for: the plan prints {} voxels, more than {}; a \
-             coarser --resolution looks for them",
-            global.printed(),
-            LOCAL_VOXELS
-        ));
+        run.report.note_too_large(global.printed());
     }
     let enough = too_large || is_complete(&global, job) && !more;
     let local = match !enough && !run.ctx.out_of_time() {
@@ -404,6 +426,25 @@ impl Report {
                 None => self.seconds.push((stage, *seconds)),
             }
         }
+    }
+
+    /// Says that so many voxels are printed outside the target.
+    fn note_supports(&mut self, job: &Job, voxels: usize) {
+        if voxels > 0 {
+            self.notes.push(format!(
+                "{:.1} mm³ of supports are printed and cut away again, since without them more is \
+                 left.",
+                voxels as f64 * job.frame.voxel_volume()
+            ));
+        }
+    }
+
+    /// Says that so many printed voxels are too many to look for local planes.
+    fn note_too_large(&mut self, voxels: usize) {
+        self.notes.push(format!(
+            "Local planes were not looked for: the plan prints {voxels} voxels, more than \
+             {LOCAL_VOXELS}; a coarser --resolution looks for them"
+        ));
     }
 
     /// R_I and #C_b.
