@@ -2,11 +2,11 @@
 
 use super::*;
 use crate::access::reached_along;
-use crate::base::{Ctx, DVec2, fibonacci_sphere};
-use crate::machine::ToolKind;
+use crate::base::{Ctx, DVec2, DVec3, fibonacci_sphere};
+use crate::machine::{Shape, ToolKind};
 use crate::mesh::{ReadOptions, read};
 use crate::morph::complement;
-use crate::voxel::{BitGrid, voxelise};
+use crate::voxel::{BitGrid, Frame, voxelise};
 use proptest::prelude::*;
 
 fn cutter(radius: f64, length: f64, holder: f64) -> Tool {
@@ -126,6 +126,25 @@ fn a_map_of_few_voxels_says_what_that_of_the_grid_says() {
         }
     }
     assert!(taken > 1000, "{taken}");
+    // Voxels far apart, most of them under others of their own cell's or beside runs that are
+    // computed as one.
+    let nozzle = Tool { kind: ToolKind::Additive, ..cutter(1.5, 9.0, 18.0) };
+    let mut taken = [0; 2];
+    for (i, d) in fibonacci_sphere(24).into_iter().chain([Direction::X, Direction::Z]).enumerate() {
+        let few = BitGrid::from_fn(frame.dims, |v @ [x, y, z]| {
+            (x * 7919 + y * 104_729 + z * 1299 + i * 31) % 131 == 0 && !solid.get(v)
+        });
+        for (tool, map) in tools.iter().zip(cutter_maps(&scene, &few, &tools, d)) {
+            let all = reached_along(&scene, &solid, tool, d).and(&few);
+            assert_eq!(crate::access::reachable(&map, &few, &frame), all, "{d:?}");
+            taken[0] += all.count();
+        }
+        let all = reached_along(&scene, &solid, &nozzle, d).and(&few);
+        let map = nozzle_map(&scene, &few, &nozzle, d, 0.0);
+        assert_eq!(crate::access::reachable(&map, &few, &frame), all, "{d:?}");
+        taken[1] += all.count();
+    }
+    assert!(taken.iter().all(|t| *t > 1000), "{taken:?}");
 }
 
 #[test]

@@ -31,6 +31,9 @@ const TILE: usize = 8;
 /// a few wanted cells do not cost a look at all of it.
 const BOUNDS_WORTH: usize = 4;
 
+/// Passes that a flat run takes, about.
+const FLAT_COST: usize = 6;
+
 /// A flat run shorter than this is cheaper cell by cell.
 const LEAST_FLAT: usize = 4;
 
@@ -80,23 +83,33 @@ impl Spans {
         Spans { rows: runs.into_iter().map(row).collect() }
     }
 
+    /// Runs per row, each no earlier than the one before; those close together are joined.
+    pub fn of_rows(rows: impl Iterator<Item = Vec<Range<usize>>>) -> Spans {
+        let joined = |row: Vec<Range<usize>>| {
+            let mut runs = Vec::new();
+            row.into_iter().for_each(|s| push(&mut runs, s));
+            runs
+        };
+        Spans { rows: rows.map(joined).collect() }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.rows.iter().all(|runs| runs.is_empty())
+    }
+
     /// The cells at most `reach` cells away along each axis, within `width`.
     pub fn grown(&self, reach: usize, width: usize) -> Spans {
-        let rows = (0..self.rows.len())
-            .map(|j| {
-                let near = j.saturating_sub(reach)..(j + reach + 1).min(self.rows.len());
-                let mut wide: Vec<Range<usize>> = self.rows[near]
-                    .iter()
-                    .flatten()
-                    .map(|s| s.start.saturating_sub(reach)..(s.end + reach).min(width))
-                    .collect();
-                wide.sort_by_key(|s| s.start);
-                let mut runs = Vec::new();
-                wide.into_iter().for_each(|s| push(&mut runs, s));
-                runs
-            })
-            .collect();
-        Spans { rows }
+        Spans::of_rows((0..self.rows.len()).map(|j| {
+            let near = j.saturating_sub(reach)..(j + reach + 1).min(self.rows.len());
+            let mut wide: Vec<Range<usize>> = self.rows[near]
+                .iter()
+                .flatten()
+                .map(|s| s.start.saturating_sub(reach)..(s.end + reach).min(width))
+                .collect();
+            wide.sort_by_key(|s| s.start);
+            wide
+        }))
     }
 
     /// Number of cells.
@@ -161,6 +174,12 @@ impl Kernel {
             }
         }
         Kernel { reach, rows, least, largest }
+    }
+
+    /// About how many passes over a run of cells it takes.
+    pub fn cost(&self) -> usize {
+        let flat = |row: &KernelRow| if row.flat.is_some() { FLAT_COST } else { 0 };
+        self.rows.iter().map(|row| row.beside.len() + flat(row)).sum()
     }
 
     /// The largest of its values; less than any number where it has none.

@@ -23,7 +23,7 @@ pub fn splat(scene: &Scene, plane: &ImagePlane, least: f64, images: &mut [DepthI
         Some(along) => splat_columns(scene, plane, least, images, along),
         None => Arch::new().dispatch(SplatVoxels { scene, plane, least, images }),
     };
-    let fixed = SplatFixed { points: scene.fixed(), plane, least, images };
+    let fixed = SplatFixed { scene, plane, least, images };
     let highest = of_voxels.max(Arch::new().dispatch(fixed));
     for i in 1..images.len() {
         let (finer, coarser) = images.split_at_mut(i);
@@ -49,9 +49,12 @@ fn put(images: &mut [DepthImage], uv: DVec2, height: f64) {
     }
 }
 
+/// Far above the rounding of the heights of points and boxes.
+const ROUNDING_MM: f64 = 1e-6;
+
 /// [`splat`] of points that are no voxels'.
 struct SplatFixed<'a> {
-    points: &'a [DVec3],
+    scene: &'a Scene,
     plane: &'a ImagePlane,
     least: f64,
     images: &'a mut [DepthImage],
@@ -62,14 +65,25 @@ impl NullaryFnOnce for SplatFixed<'_> {
 
     #[inline(always)]
     fn call(self) -> f64 {
-        let SplatFixed { points, plane, least, images } = self;
+        let SplatFixed { scene, plane, least, images } = self;
         let plane = *plane;
+        let [u, v, d] = [plane.u, plane.v, plane.d].map(DVec3::abs);
         let mut highest = f64::MIN;
-        for p in points {
-            let z = plane.height(*p);
-            highest = if z > highest { z } else { highest };
-            if z >= least {
-                put(images, plane.across(*p), z);
+        for (b, points) in scene.groups() {
+            let (middle, half) = ((b.min + b.max) / 2.0, (b.max - b.min) / 2.0);
+            let top = plane.height(middle) + d.dot(half) + ROUNDING_MM;
+            let spread = DVec2::new(u.dot(half), v.dot(half));
+            let widest = images.last().map(|(_, widest, _)| widest);
+            let is_seen = widest.is_some_and(|w| w.may_hold(plane.across(middle), spread));
+            if top <= highest && (top < least || !is_seen) {
+                continue;
+            }
+            for p in points {
+                let z = plane.height(*p);
+                highest = if z > highest { z } else { highest };
+                if z >= least {
+                    put(images, plane.across(*p), z);
+                }
             }
         }
         highest

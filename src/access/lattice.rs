@@ -129,6 +129,16 @@ impl Lattice {
         [0, 1, 2].map(|a| DVec3::new(u[a], v[a], d[a]))
     }
 
+    /// Whether a point at most `spread` from (u, v), mm, may lie in a cell: true of all that do.
+    #[inline(always)]
+    pub fn may_hold(&self, uv: DVec2, spread: DVec2) -> bool {
+        let (at, spread) = (self.place(uv), spread * self.per_mm);
+        // A cell reaches half a cell beyond its centre; the other half is for rounding.
+        let near =
+            |at: f64, spread: f64, cells: usize| at + spread >= -1.0 && at - spread <= cells as f64;
+        near(at.x, spread.x, self.nu) && near(at.y, spread.y, self.nv)
+    }
+
     /// The cell nearest to (u, v).
     #[inline]
     pub fn cell(&self, uv: DVec2) -> Option<usize> {

@@ -19,6 +19,7 @@
 mod additive;
 #[cfg(test)]
 mod allowance_tests;
+mod ceilings;
 mod cells;
 mod collateral;
 mod columns;
@@ -39,6 +40,7 @@ mod tests;
 mod tiles;
 mod tilted;
 mod tops;
+mod view;
 mod voxel_tool;
 
 pub use additive::{CarrierTable, supported};
