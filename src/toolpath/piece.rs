@@ -20,10 +20,11 @@ use super::cross::Sections;
 use super::image::Lattice;
 use super::mill::Work;
 use super::polygons::{difference, intersection, offset, simple, to_paths, union};
-use super::slice::{Outline, section};
+use super::slice::{Outline, Slices};
 use crate::base::{DVec2, ImagePlane};
 use crate::voxel::{BitGrid, Frame};
 use clipper2_rust::PathsD;
+use std::borrow::Cow;
 
 /// How far outside the voxels' outline the block still owns the material, in pitches: a surface
 /// lies at most √3/2 from the voxels' own. More would reach into what no voxel stands for.
@@ -31,15 +32,14 @@ const REACH: f64 = 1.2;
 
 pub(super) struct Piece<'a> {
     frame: &'a Frame,
-    lattice: Lattice,
-    region: &'a BitGrid,
+    region: Slices<'a>,
     target: Option<Sections<'a>>,
     initial: Option<Sections<'a>>,
     /// The block is all there is to add: nothing must be told apart.
     alone: bool,
-    aside: BitGrid,
-    back: BitGrid,
-    other: BitGrid,
+    aside: Slices<'a>,
+    back: Slices<'a>,
+    other: Slices<'a>,
 }
 
 impl<'a> Piece<'a> {
@@ -51,61 +51,54 @@ impl<'a> Piece<'a> {
         other.union_with(&work.before.minus(&job.initial));
         other.intersect_with(&near);
         other.subtract(region);
+        let slices = |grid: Cow<'a, BitGrid>| Slices::new(grid, work.frame, lattice);
         Piece {
             frame: work.frame,
-            lattice,
-            region,
+            region: slices(Cow::Borrowed(region)),
             target: Sections::new(&job.target_mesh, plane),
             initial: Sections::new(&job.initial_mesh, plane),
             alone: *region == job.target,
-            aside: region.minus(&job.target),
-            back: region.and(&job.initial),
-            other,
+            aside: slices(Cow::Owned(region.minus(&job.target))),
+            back: slices(Cow::Owned(region.and(&job.initial))),
+            other: slices(Cow::Owned(other)),
         }
-    }
-
-    fn voxels(&self, grid: &BitGrid, z: f64) -> PathsD {
-        if grid.is_empty() {
-            return PathsD::new();
-        }
-        to_paths(&section(grid, self.frame, &self.lattice, z))
     }
 
     /// The voxels' own outline at a height.
     pub fn coarse(&self, z: f64) -> PathsD {
-        self.voxels(self.region, z)
+        to_paths(&self.region.at(z))
     }
 
     /// The outline at a height, holes clockwise.
     pub fn outline(&self, z: f64) -> PathsD {
         let Some(target) = self.target.as_ref().and_then(|t| t.at(z)) else {
-            return self.voxels(self.region, z);
+            return to_paths(&self.region.at(z));
         };
         let initial = match &self.initial {
             None => Vec::new(),
             Some(m) => match m.at(z) {
                 Some(s) => s,
-                None => return self.voxels(self.region, z),
+                None => return to_paths(&self.region.at(z)),
             },
         };
         // Cut away again: no need to follow every stair of the voxels.
-        let aside = simple(&self.voxels(&self.aside, z), self.frame.pitch / 4.0);
+        let aside = simple(&to_paths(&self.aside.at(z)), self.frame.pitch / 4.0);
         // A slit between the two is no fault: supports are to come off.
         let mut own = union(&to_paths(&target), &aside);
         if !initial.is_empty() {
-            let back = self.voxels(&self.back, z);
+            let back = to_paths(&self.back.at(z));
             let kept = difference(&to_paths(&initial), &back);
             own = difference(&own, &kept);
         }
         if self.alone {
             return own;
         }
-        let mut whole = self.voxels(self.region, z);
+        let mut whole = to_paths(&self.region.at(z));
         if !aside.is_empty() {
             whole = simple(&whole, self.frame.pitch / 8.0);
         }
         let grown = offset(&whole, REACH * self.frame.pitch);
-        let other = self.voxels(&self.other, z);
+        let other = to_paths(&self.other.at(z));
         intersection(&own, &difference(&grown, &other))
     }
 
