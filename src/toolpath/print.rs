@@ -11,7 +11,7 @@
 //! [`INSET_SLACK`]); outlines deviate from the section by at most [`CHORD_MM`]. Not guaranteed:
 //! what is thinner than a bead gets none, and its volume is reported.
 
-use super::comb::comb;
+use super::comb::Islands;
 use super::image::{Image, Lattice};
 use super::infill::{Fill, Line, fill, hatch, length as length_of};
 use super::mill::{Free, Work};
@@ -19,7 +19,7 @@ use super::moves::{Figures, Move, MoveKind};
 use super::piece::{Piece, outlines};
 use super::polygons::{clip_lines, difference, intersection, of_paths, offset, simple, union};
 use super::process::{CLEARANCE_MM, Printing};
-use super::slice::{Outline, area};
+use super::slice::area;
 use crate::base::{DVec2, DVec3};
 use crate::machine::Seam;
 use clipper2_rust::{PathD, PathsD, PointD};
@@ -68,7 +68,7 @@ struct Layer {
     laid: f64,
     room: f64,
     /// What travels keep inside of.
-    around: Vec<Outline>,
+    around: Islands,
 }
 
 /// Height of the middle of a layer, its tip's height and its thickness.
@@ -115,15 +115,17 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     let piece = Piece::new(work, lattice, &plane);
     let high = piece.top(high, lo, hi).unwrap_or(high);
     let slabs = slabs(low, high, process);
-    let mut layers = layers(&slabs, process, |z| piece.outline(z));
+    let sections = Sections::new(&slabs, process, |z| piece.outline(z));
+    let mut layers = sections.layers(&slabs, process);
     if layers.iter().all(|l| l.loops.is_empty() && l.fill.is_empty()) {
         // A speck of which the meshes leave nothing as wide as a bead: the plan has it all the same.
-        layers = self::layers(&slabs, process, |z| piece.coarse(z));
+        let coarse = Sections::new(&slabs, process, |z| piece.coarse(z));
+        layers = coarse.layers(&slabs, process);
     }
     let total = |of: fn(&Layer) -> f64| layers.iter().map(of).sum::<f64>();
     if total(|l| l.laid) > MOST_LAPPED * total(|l| l.room) {
         let narrow = Printing { neck: process.width / 4.0, ..*process };
-        layers = self::layers(&slabs, &narrow, |z| piece.outline(z));
+        layers = sections.layers(&slabs, &narrow);
     }
     let thin_mm3 = layers.iter().map(|l| l.thin_mm3).sum::<f64>();
     let free = Free::around(work, work.before, h);
@@ -131,8 +133,8 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     let blocked = heights.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let top = high + process.layer;
     let safe = free.state_top.max(f64::from(blocked)).max(top) + CLEARANCE_MM;
-    let mut head =
-        Head { heights, safe, process: *process, at: None, moves: Vec::new(), around: Vec::new() };
+    let around = Islands::new(Vec::new());
+    let mut head = Head { heights, safe, process: *process, at: None, moves: Vec::new(), around };
     for layer in layers {
         head.process.feed = layer.feed;
         head.around = layer.around;
@@ -144,19 +146,27 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     Printed { moves: head.moves, safe_height: safe, figures }
 }
 
-fn layers(
-    slabs: &[Slab],
-    process: &Printing,
-    outline: impl Fn(f64) -> PathsD + Sync,
-) -> Vec<Layer> {
-    let sections: Vec<PathsD> =
-        slabs.par_iter().map(|s| simple(&outline(s.middle()), CHORD_MM)).collect();
-    let inner: Vec<PathsD> = sections.par_iter().map(|s| inside(s, process)).collect();
-    let layer = |k: usize| {
-        let bare = bare(&inner, k, process);
-        beads(&sections[k], &inner[k], &bare, process, slabs[k], k)
-    };
-    (0..slabs.len()).into_par_iter().map(layer).collect()
+/// What of the layers does not depend on how their beads are laid.
+struct Sections {
+    whole: Vec<PathsD>,
+    inner: Vec<PathsD>,
+}
+
+impl Sections {
+    fn new(slabs: &[Slab], process: &Printing, outline: impl Fn(f64) -> PathsD + Sync) -> Sections {
+        let whole: Vec<PathsD> =
+            slabs.par_iter().map(|s| simple(&outline(s.middle()), CHORD_MM)).collect();
+        let inner = whole.par_iter().map(|s| inside(s, process)).collect();
+        Sections { whole, inner }
+    }
+
+    fn layers(&self, slabs: &[Slab], process: &Printing) -> Vec<Layer> {
+        let layer = |k: usize| {
+            let bare = bare(&self.inner, k, process);
+            beads(&self.whole[k], &self.inner[k], &bare, process, slabs[k], k)
+        };
+        (0..slabs.len()).into_par_iter().map(layer).collect()
+    }
 }
 
 /// What the perimeters leave to fill.
@@ -197,9 +207,13 @@ fn beads(
 ) -> Layer {
     let w = process.width;
     let first = w * (0.5 - INSET_SLACK);
+    let outermost = opened(section, first, process.neck);
     let mut loops: Vec<Line> = Vec::new();
     for k in 0..process.perimeters.max(1) {
-        let inset = simple(&opened(section, first + k as f64 * w, process.neck), CHORD_MM);
+        let inset = match k {
+            0 => simple(&outermost, CHORD_MM),
+            _ => simple(&opened(section, first + k as f64 * w, process.neck), CHORD_MM),
+        };
         for mut line in of_paths(&inset).into_iter().filter(|l| l.len() >= 2) {
             line.push(line[0]);
             loops.push(line);
@@ -217,7 +231,7 @@ fn beads(
     if !bare.is_empty() {
         lines.extend(hatch(&of_paths(bare), w, !layer.is_multiple_of(2), w / 2.0));
     }
-    let wide = offset(&opened(section, first, process.neck), first);
+    let wide = offset(&outermost, first);
     let laid = w * loops.iter().map(length_of).sum::<f64>();
     let room = area(&outlines(&wide));
     let thin = difference(section, &wide);
@@ -229,7 +243,7 @@ fn beads(
     // Just outside the outermost bead, so that its ends lie within.
     let around = simple(&offset(section, -0.8 * first), COMB_MM);
     let thin_mm3 = thin.max(0.0) * slab.height;
-    let around = of_paths(&around);
+    let around = Islands::new(of_paths(&around));
     Layer { z: slab.tip, feed, loops, fill: lines, thin_mm3, laid, room, around }
 }
 
@@ -289,7 +303,7 @@ struct Head {
     at: Option<(DVec2, f64)>,
     moves: Vec<Move>,
     /// Outlines of the running layer, half a bead inside.
-    around: Vec<Outline>,
+    around: Islands,
 }
 
 impl Head {
@@ -298,15 +312,15 @@ impl Head {
         const MOST: usize = 2000;
         let greedy = lines.len() <= MOST;
         lines.reverse();
+        let mut boxes: Vec<(DVec2, DVec2)> = lines.iter().map(bounds).collect();
         while !lines.is_empty() {
             let here = self.at.map(|(uv, _)| uv);
-            let gap = |l: &Line| here.map_or(0.0, |p| entry(l, p).1);
-            let pick = if greedy {
-                (0..lines.len()).min_by(|a, b| gap(&lines[*a]).total_cmp(&gap(&lines[*b])))
-            } else {
-                Some(lines.len() - 1)
+            let pick = match here {
+                _ if !greedy => lines.len() - 1,
+                None => 0,
+                Some(here) => nearest(&lines, &boxes, here),
             };
-            let Some(pick) = pick else { return };
+            boxes.remove(pick);
             let line = lines.remove(pick);
             self.bead(line, z);
         }
@@ -340,7 +354,7 @@ impl Head {
         };
         if z == z0 && from.distance(to) > 2.0 * self.process.width {
             // Over what is already laid, where the ooze of a long travel does no harm.
-            for via in comb(from, to, &self.around) {
+            for via in self.around.comb(from, to) {
                 self.leg(via, z);
             }
         }
@@ -389,6 +403,28 @@ fn farthest(line: &Line) -> Option<usize> {
         let key = |i: usize| (line[i].y, line[i].x);
         key(*a).partial_cmp(&key(*b)).unwrap_or(std::cmp::Ordering::Equal)
     })
+}
+
+fn bounds(line: &Line) -> (DVec2, DVec2) {
+    let empty = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    line.iter().fold(empty, |(lo, hi), p| (lo.min(*p), hi.max(*p)))
+}
+
+/// Index of the line that can be entered nearest to `here`, the first of those as near. Lines whose
+/// box is no nearer than the best need no look: rounding keeps order, so their points are not
+/// nearer either.
+fn nearest(lines: &[Line], boxes: &[(DVec2, DVec2)], here: DVec2) -> usize {
+    let (mut best, mut pick) = (f64::INFINITY, 0);
+    for (i, (line, (lo, hi))) in lines.iter().zip(boxes).enumerate() {
+        if (*lo - here).max(here - *hi).max(DVec2::ZERO).length() >= best {
+            continue;
+        }
+        let gap = entry(line, here).1;
+        if gap < best {
+            (best, pick) = (gap, i);
+        }
+    }
+    pick
 }
 
 /// Where to start a line from `here`: the index (any point of a closed line, an end of an open
@@ -469,6 +505,31 @@ mod tests {
         let thin = layer(&[wall(0.2)], 0, 1);
         assert!(thin.loops.is_empty() && thin.fill.is_empty());
         assert!((thin.thin_mm3 - 0.4).abs() < 1e-6);
+    }
+
+    #[test]
+    fn boxes_do_not_change_which_line_is_nearest() {
+        let mut rng = crate::base::rng(11, 0);
+        let mut number = |far: f64| rand::RngExt::random_range(&mut rng, -far..far);
+        let mut lines: Vec<Line> = Vec::new();
+        for k in 0..60 {
+            let middle = DVec2::new(number(20.0), number(20.0));
+            let mut line: Line =
+                (0..2 + k % 5).map(|_| middle + DVec2::new(number(3.0), number(3.0))).collect();
+            if k % 2 == 0 {
+                line.push(line[0]);
+            }
+            lines.push(line);
+        }
+        // As near as another: the first is taken.
+        lines.extend_from_within(..20);
+        let boxes: Vec<_> = lines.iter().map(bounds).collect();
+        for _ in 0..400 {
+            let here = DVec2::new(number(30.0), number(30.0));
+            let gap = |i: &usize| entry(&lines[*i], here).1;
+            let plain = (0..lines.len()).min_by(|a, b| gap(a).total_cmp(&gap(b)));
+            assert_eq!(Some(nearest(&lines, &boxes, here)), plain);
+        }
     }
 
     #[test]
