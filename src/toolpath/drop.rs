@@ -78,21 +78,26 @@ impl End {
         round - (round * round - over * over).max(0.0).sqrt()
     }
 
-    /// Upper bound of the tip's height over what lies in a box across and no higher than `top`: there
-    /// the end is as high as at the box's nearest point, or higher. Minus infinity beyond the radius.
-    fn at_most(&self, top: f64, at: DVec2, low: DVec2, high: DVec2) -> f64 {
-        let apart = (low - at).max(at - high).max(DVec2::ZERO).length();
-        if apart > self.radius() + BOUND_MM {
-            return f64::NEG_INFINITY;
+    /// Whether the tip over what lies in a box across and no higher than `top` is no higher than
+    /// `best`, beyond rounding: there the end is as high as at the box's nearest point, or higher.
+    fn stays_under(&self, best: f64, top: f64, at: DVec2, low: DVec2, high: DVec2) -> bool {
+        let apart = (low - at).max(at - high).max(DVec2::ZERO).length_squared();
+        let (flat, round) = self.torus();
+        let far = flat + round + BOUND_MM;
+        if apart > far * far {
+            return true;
         }
-        top - self.lower(apart) + BOUND_MM
+        // top − lower(apart) ≤ best, without the root in it.
+        let rise = best - top + round - BOUND_MM;
+        let over = if flat == 0.0 { apart } else { (apart.sqrt() - flat).max(0.0).powi(2) };
+        rise >= 0.0 && (round * round - over).max(0.0) <= rise * rise
     }
 
-    /// Tip height at which the end, its axis through `at`, touches the triangle; none when it
-    /// passes by. Edges below `above` are passed over.
-    fn touch(&self, at: DVec2, t: &[DVec3; 3], above: f64) -> Option<f64> {
+    /// Tip height at which the end, its axis through `at`, touches the triangle of this normal (see
+    /// [`upward`]); none when it passes by. Edges below `above` are passed over.
+    fn touch(&self, at: DVec2, t: &[DVec3; 3], normal: DVec3, above: f64) -> Option<f64> {
         let mut best = f64::NEG_INFINITY;
-        if let Some(z) = self.on_face(at, t) {
+        if let Some(z) = self.on_face(at, t, normal) {
             best = best.max(z);
         }
         for i in 0..3 {
@@ -107,9 +112,7 @@ impl End {
         best.is_finite().then_some(best)
     }
 
-    fn on_face(&self, at: DVec2, [a, b, c]: &[DVec3; 3]) -> Option<f64> {
-        let normal = (*b - *a).cross(*c - *a).try_normalize()?;
-        let normal = if normal.z < 0.0 { -normal } else { normal };
+    fn on_face(&self, at: DVec2, [a, b, c]: &[DVec3; 3], normal: DVec3) -> Option<f64> {
         /// Steeper faces are met by their edges.
         const UPRIGHT: f64 = 1e-9;
         if normal.z < UPRIGHT {
@@ -159,6 +162,12 @@ impl End {
     }
 }
 
+/// Unit normal of a triangle that does not look down; zero where it has no area.
+fn upward([a, b, c]: &[DVec3; 3]) -> DVec3 {
+    let normal = (*b - *a).cross(*c - *a).normalize_or_zero();
+    if normal.z < 0.0 { -normal } else { normal }
+}
+
 fn height_flat(z: f64, slope: f64, start: f64, low: f64, high: f64) -> f64 {
     z + slope * (if slope > 0.0 { high } else { low } - start)
 }
@@ -182,6 +191,9 @@ fn inside(p: DVec2, a: DVec2, b: DVec2, c: DVec2) -> bool {
 /// Triangles under a grid of cells in (u, v).
 pub struct DropCutter {
     triangles: Vec<[DVec3; 3]>,
+    /// Height of the highest corner of each.
+    tops: Vec<f64>,
+    normals: Vec<DVec3>,
     origin: DVec2,
     cell: f64,
     n: [usize; 2],
@@ -209,10 +221,13 @@ impl DropCutter {
         let cell = radius.min(extent / LEAST_CELLS).max(extent / MOST_CELLS).max(1e-6);
         let n = ((hi - lo) / cell).floor();
         let n = [n.x as usize + 1, n.y as usize + 1];
-        let mut drop =
-            DropCutter { triangles, origin: lo, cell, n, starts: Vec::new(), lists: Vec::new() };
-        let mut order: Vec<u32> = (0..drop.triangles.len() as u32).collect();
-        order.sort_by(|a, b| drop.top(*b).total_cmp(&drop.top(*a)).then(a.cmp(b)));
+        let tops: Vec<f64> = triangles.iter().map(|[a, b, c]| a.z.max(b.z).max(c.z)).collect();
+        let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
+        let top = |t: u32| tops[t as usize];
+        order.sort_unstable_by(|a, b| top(*b).total_cmp(&top(*a)).then(a.cmp(b)));
+        let normals = triangles.iter().map(upward).collect();
+        let (starts, lists) = (Vec::new(), Vec::new());
+        let mut drop = DropCutter { triangles, tops, normals, origin: lo, cell, n, starts, lists };
         let mut starts = vec![0u32; n[0] * n[1] + 1];
         for &t in &order {
             drop.cells_under(t).for_each(|c| starts[c + 1] += 1);
@@ -250,49 +265,63 @@ impl DropCutter {
     /// Height of the tip that rests on the triangles with its axis through `at`; none where there
     /// is no triangle within the radius.
     pub fn height(&self, end: End, at: DVec2) -> Option<f64> {
+        self.height_from(end, at, &mut None)
+    }
+
+    /// The same, with the triangle that a tip nearby rests on, which is likely to be this one's or
+    /// nearly as high; then the one that this tip rests on.
+    pub fn height_from(&self, end: End, at: DVec2, on: &mut Option<u32>) -> Option<f64> {
         let reach = DVec2::splat(end.radius());
         let ([i0, j0], [i1, j1]) = (self.clamped(at - reach), self.clamped(at + reach));
+        let mut best = f64::NEG_INFINITY;
+        if let Some(t) = *on {
+            let (corners, normal) = (&self.triangles[t as usize], self.normals[t as usize]);
+            best = end.touch(at, corners, normal, best).unwrap_or(best);
+        }
         // Under the axis the tip is likely to touch; the others then need no look, most of them.
         let [i, j] = self.clamped(at);
-        let mut best = self.height_over([i, j], end, at, f64::NEG_INFINITY);
+        best = self.height_over([i, j], end, at, best, on);
         for other in (j0..=j1).flat_map(|j| (i0..=i1).map(move |i| [i, j])) {
             if other != [i, j] {
-                best = self.height_over(other, end, at, best);
+                best = self.height_over(other, end, at, best, on);
             }
         }
         best.is_finite().then_some(best)
     }
 
-    /// The greatest of a height and those of the triangles under a cell.
-    fn height_over(&self, [i, j]: [usize; 2], end: End, at: DVec2, mut best: f64) -> f64 {
+    /// The greatest of a height and those of the triangles under a cell, and whose it is.
+    fn height_over(
+        &self,
+        [i, j]: [usize; 2],
+        end: End,
+        at: DVec2,
+        mut best: f64,
+        on: &mut Option<u32>,
+    ) -> f64 {
         let c = i + self.n[0] * j;
         let list = &self.lists[self.starts[c] as usize..self.starts[c + 1] as usize];
         let Some(&first) = list.first() else { return best };
         let from = self.origin + DVec2::new(i as f64, j as f64) * self.cell;
-        if end.at_most(self.top(first), at, from, from + self.cell) <= best {
+        if end.stays_under(best, self.tops[first as usize], at, from, from + self.cell) {
             return best;
         }
         for &t in list {
+            let top = self.tops[t as usize];
             // The tip is never above the triangle's top; the others are lower still.
-            if self.top(t) <= best {
+            if top <= best {
                 break;
             }
             let corners = &self.triangles[t as usize];
             let [a, b, c] = corners.map(DVec3::truncate);
-            if end.at_most(self.top(t), at, a.min(b).min(c), a.max(b).max(c)) <= best {
+            if end.stays_under(best, top, at, a.min(b).min(c), a.max(b).max(c)) {
                 continue;
             }
-            if let Some(z) = end.touch(at, corners, best) {
-                best = best.max(z);
+            let touched = end.touch(at, corners, self.normals[t as usize], best);
+            if let Some(z) = touched.filter(|z| *z > best) {
+                (best, *on) = (z, Some(t));
             }
         }
         best
-    }
-
-    /// Height of the highest corner of a triangle.
-    fn top(&self, t: u32) -> f64 {
-        let [a, b, c] = &self.triangles[t as usize];
-        a.z.max(b.z).max(c.z)
     }
 }
 
@@ -363,11 +392,15 @@ mod tests {
             let drop = DropCutter::new(triangles.clone(), radius);
             let bull = End::Bull { radius, corner: radius / 3.0 };
             for end in [End::Ball { radius }, End::Flat { radius }, bull] {
+                let mut on = None;
                 for _ in 0..60 {
                     let at = DVec2::new(number(-30.0, 30.0), number(-12.0, 12.0));
-                    let all = triangles.iter().filter_map(|t| end.touch(at, t, f64::NEG_INFINITY));
+                    let touch = |t: &[DVec3; 3]| end.touch(at, t, upward(t), f64::NEG_INFINITY);
+                    let all = triangles.iter().filter_map(touch);
                     let all = all.reduce(f64::max);
                     assert_eq!(drop.height(end, at), all, "{end:?} at {at}");
+                    // Whatever tip the search begins with.
+                    assert_eq!(drop.height_from(end, at, &mut on), all, "{end:?} at {at}");
                 }
             }
         }
