@@ -13,40 +13,63 @@ use super::image::{Cell, Lattice};
 const DIAGONAL: f32 = std::f32::consts::SQRT_2;
 
 /// Distance to the nearest cell outside the set, in cells: 1 on the rim, 0 outside.
-fn distance(lattice: &Lattice, set: &[bool]) -> Vec<f32> {
+fn distance(lattice: &Lattice, set: &[bool], window: [Cell; 2]) -> Vec<f32> {
     let [nx, ny] = lattice.n;
-    let mut d: Vec<f32> = set.iter().map(|s| if *s { f32::INFINITY } else { 0.0 }).collect();
+    let mut d = vec![0.0f32; set.len()];
     let get = |d: &[f32], i: i64, j: i64| {
         let inside = i >= 0 && j >= 0 && i < nx as i64 && j < ny as i64;
         if inside { d[i as usize + nx * j as usize] } else { 0.0 }
     };
+    let of_set = |k: &usize| set[*k];
+    within(lattice, window).filter(of_set).for_each(|k| d[k] = f32::INFINITY);
     let mut sweep = |k: usize, sign: i64| {
-        if d[k] == 0.0 {
-            return;
-        }
         let (i, j) = ((k % nx) as i64, (k / nx) as i64);
         let back =
             [(sign, 0, 1.0), (0, sign, 1.0), (sign, sign, DIAGONAL), (-sign, sign, DIAGONAL)];
         let best = back.iter().map(|(di, dj, c)| get(&d, i + di, j + dj) + c);
         d[k] = best.fold(d[k], f32::min);
     };
-    (0..nx * ny).for_each(|k| sweep(k, -1));
-    (0..nx * ny).rev().for_each(|k| sweep(k, 1));
+    within(lattice, window).filter(of_set).for_each(|k| sweep(k, -1));
+    within(lattice, window).rev().filter(of_set).for_each(|k| sweep(k, 1));
     d
+}
+
+/// First and last column and row that a set has cells in: mostly few of a lattice's.
+fn window(lattice: &Lattice, set: &[bool]) -> Option<[Cell; 2]> {
+    let nx = lattice.n[0].max(1);
+    let mut found: Option<[Cell; 2]> = None;
+    for (j, row) in set.chunks(nx).enumerate() {
+        let Some(first) = row.iter().position(|s| *s) else { continue };
+        let last = row.iter().rposition(|s| *s).unwrap_or(first);
+        let [low, high] = found.get_or_insert([[first, j], [last, j]]);
+        (low[0], high[0], high[1]) = (low[0].min(first), high[0].max(last), j);
+    }
+    found
+}
+
+/// Indices of the cells of a window, row by row.
+fn within(
+    lattice: &Lattice,
+    [low, high]: [Cell; 2],
+) -> impl DoubleEndedIterator<Item = usize> + use<> {
+    let nx = lattice.n[0];
+    (low[1]..=high[1]).flat_map(move |j| (low[0] + nx * j)..=(high[0] + nx * j))
 }
 
 /// Chains of neighbouring cells, a `stepover` (cells) apart, that cover the set.
 pub(super) fn chains(lattice: &Lattice, set: &[bool], stepover: f64) -> Vec<Vec<Cell>> {
     let stepover = stepover.max(1.0) as f32;
-    let d = distance(lattice, set);
+    let Some(window) = window(lattice, set) else { return Vec::new() };
+    let d = distance(lattice, set, window);
     // Which band a cell belongs to, counted from 1; 0 for none.
     let band = |d: f32| {
         let k = ((d - 1.0) / stepover).floor();
         if d > 0.0 && d - 1.0 - k * stepover < 1.0 { k as u32 + 1 } else { 0 }
     };
-    let mut bands: Vec<u32> = d.iter().map(|d| band(*d)).collect();
+    let mut bands = vec![0u32; d.len()];
+    within(lattice, window).for_each(|k| bands[k] = band(d[k]));
     let mut out = Vec::new();
-    for k in 0..bands.len() {
+    for k in within(lattice, window) {
         if bands[k] != 0 {
             let mut chain = trace(lattice, &mut bands, k);
             if outside_is_left(lattice, &d, &chain) {
@@ -198,6 +221,24 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn a_window_leaves_no_distance_out(
+            boxes in proptest::collection::vec((0usize..40, 0usize..40, 1usize..9, 1usize..9), 1..5),
+        ) {
+            let l = lattice([40, 40]);
+            let set: Vec<bool> = (0..l.cells()).map(|k| {
+                let [i, j] = l.cell_of_index(k);
+                boxes.iter().any(|(a, b, w, h)| (*a..a + w).contains(&i) && (*b..b + h).contains(&j))
+            }).collect();
+            let found = window(&l, &set).unwrap();
+            prop_assert_eq!(distance(&l, &set, found), distance(&l, &set, [[0, 0], [39, 39]]));
+            let out = |k: usize| {
+                let c = l.cell_of_index(k);
+                (0..2).any(|a| c[a] < found[0][a] || c[a] > found[1][a])
+            };
+            prop_assert!((0..l.cells()).all(|k| !set[k] || !out(k)));
+        }
+
         #[test]
         fn chains_stay_in_the_set_and_cover_it(
             boxes in proptest::collection::vec((0usize..30, 0usize..30, 1usize..18, 1usize..18), 1..5),
