@@ -13,7 +13,7 @@ use super::drop::{DropCutter, End};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::mill::{Free, Work};
 use super::near::NEAR_PITCH;
-use crate::base::{DVec2, DVec3};
+use crate::base::{Cancelled, DVec2, DVec3};
 use crate::mesh::TriMesh;
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
@@ -48,12 +48,12 @@ impl Lowest {
 
 impl Exact {
     /// None when the job has no meshes or the cutter's end is not one of [`End`].
-    pub fn of(work: &Work, free: &Free) -> Option<Exact> {
-        let end = End::of(work.tool)?;
+    pub fn of(work: &Work, free: &Free) -> Result<Option<Exact>, Cancelled> {
+        let Some(end) = End::of(work.tool) else { return Ok(None) };
         let h = work.frame.pitch;
         let meshes = [&work.job.target_mesh, &work.job.initial_mesh];
         if meshes.iter().all(|m| m.is_empty()) {
-            return None;
+            return Ok(None);
         }
         // What stands of either mesh's solid on its own side.
         let stands = [work.after.and(&work.job.target), work.after.minus(&work.job.target)];
@@ -84,31 +84,77 @@ impl Exact {
         }
         let drop = DropCutter::new(triangles, end.radius());
         let mut resting = Image::empty(lattice);
-        resting.data.par_iter_mut().enumerate().for_each(|(i, z)| {
-            let uv = lattice.uv(lattice.cell_of_index(i));
-            *z = drop.height(end, uv).map_or(f32::NEG_INFINITY, |z| z as f32);
-        });
+        let rows = resting.data.par_chunks_mut(lattice.n[0].max(1)).enumerate();
+        rows.try_for_each(|(j, row)| -> Result<(), Cancelled> {
+            // Next to it the end mostly rests on the same triangle.
+            let mut on = None;
+            for (i, z) in row.iter_mut().enumerate() {
+                work.ctx.check()?;
+                let height = drop.height_from(end, lattice.uv([i, j]), &mut on);
+                *z = height.map_or(f32::NEG_INFINITY, |z| z as f32);
+            }
+            Ok(())
+        })?;
         // No point of the surface is farther from its voxel.
         let far = NEAR_PITCH * h + lattice.s;
-        let bound = free.heights(work.tool, far, far);
-        Some(Exact { end, drop, resting, bound, rest })
+        let bound = free.heights(work.tool, far, far, work.ctx)?;
+        Ok(Some(Exact { end, drop, resting, bound, rest }))
     }
 
     /// Lowest free tips: the end over the meshes, the rest of the tool over the voxels; with the
     /// tool grown by `side` and `down` where voxels are the obstacle, by `over` over the meshes.
-    pub fn heights(&self, work: &Work, free: &Free, side: f64, down: f64, over: f64) -> Lowest {
+    pub fn heights(
+        &self,
+        work: &Work,
+        free: &Free,
+        side: f64,
+        down: f64,
+        over: f64,
+    ) -> Result<Lowest, Cancelled> {
         let tool = work.tool;
         let (edge, s) = (tool.active_radius(), free.window.s);
         let upper = |rho: f64| if rho <= edge { f64::INFINITY } else { tool.lower_surface(rho) };
         let holder = Profile::new(upper, tool.max_radius(), s, side, down);
-        let end = Profile::new(|rho| tool.active_lower_surface(rho), edge, s, side, down);
-        let mut guard = free.dilated(&holder);
-        let bare = end.dilate(&self.rest, free.window, free.highest());
-        guard.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
+        let mut guard = free.dilated(&holder, work.ctx)?;
+        self.bare(work, free, [side, down], &mut guard)?;
         let mut tips = guard.clone();
+        self.rest_on(over, &mut tips);
+        Ok(Lowest { tips, guard })
+    }
+
+    /// Lowest free tips where `whole` are those of the whole tool, grown, over the voxels: shank and
+    /// holder, grown as much, ask for nothing more than it does.
+    pub fn raised(
+        &self,
+        work: &Work,
+        free: &Free,
+        mut whole: Image,
+        [side, down, over]: [f64; 3],
+    ) -> Result<Image, Cancelled> {
+        self.bare(work, free, [side, down], &mut whole)?;
+        self.rest_on(over, &mut whole);
+        Ok(whole)
+    }
+
+    /// Raises tips to where the grown end is free of obstacles that no mesh stands for.
+    fn bare(
+        &self,
+        work: &Work,
+        free: &Free,
+        [side, down]: [f64; 2],
+        tips: &mut Image,
+    ) -> Result<(), Cancelled> {
+        let (edge, s) = (work.tool.active_radius(), free.window.s);
+        let end = Profile::new(|rho| work.tool.active_lower_surface(rho), edge, s, side, down);
+        let bare = end.dilate(&self.rest, free.window, free.highest(), work.ctx)?;
+        tips.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
+        Ok(())
+    }
+
+    /// Raises tips to `over` above where the end rests on the meshes.
+    fn rest_on(&self, over: f64, tips: &mut Image) {
         let resting = self.resting.data.iter().zip(&self.bound.data).map(|(r, b)| r.min(*b));
         tips.data.iter_mut().zip(resting).for_each(|(z, r)| *z = z.max(r + over as f32));
-        Lowest { tips, guard }
     }
 
     /// Lowest free tip anywhere within the lattice: over the meshes exact, over the voxels that of
@@ -219,10 +265,10 @@ fn standing(
             let uv = corners.map(|p| plane.across(p));
             let lo = uv[0].min(uv[1]).min(uv[2]);
             let hi = uv[0].max(uv[1]).max(uv[2]);
-            let Some(normal) = mesh.area_normal(t).try_normalize() else { return Vec::new() };
             if lo.cmpgt(far).any() || hi.cmplt(near).any() {
                 return Vec::new();
             }
+            let Some(normal) = mesh.area_normal(t).try_normalize() else { return Vec::new() };
             let half = normal * (h / 2.0);
             // Either side: single triangles may face the wrong way.
             let stands = |p: DVec3| {

@@ -9,7 +9,8 @@
 //! downward, for tools whose lower surface never falls outward. Not guaranteed: positions finer than
 //! a cell; a point is moved to its cell's centre, at most s/√2 away.
 
-use crate::base::{DVec2, DVec3, ImagePlane};
+use super::rowmax::row_tables;
+use crate::base::{Cancelled, Ctx, DVec2, DVec3, ImagePlane};
 use crate::voxel::Frame;
 use rayon::prelude::*;
 
@@ -115,10 +116,38 @@ impl Image {
 pub(crate) struct Profile {
     /// Offsets near the axis, each with its height over the tip.
     near: Vec<(i64, i64, f32)>,
+    /// The same as rows of cells of one height.
+    chords: Vec<Chord>,
     /// Flat discs beyond: radius in cells and height.
     discs: Vec<(f64, f32)>,
     /// A head without end begins here.
     platform: Option<f32>,
+}
+
+/// Cells side by side at one height: `width` of them from `first` on, `row` rows away.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Chord {
+    row: i64,
+    first: i64,
+    width: usize,
+    z: f32,
+}
+
+/// Narrower chords are lifted cell by cell: the two looks into a table that a chord takes are no
+/// fewer, and the table must be made.
+const LEAST_CHORD: usize = 4;
+
+/// Rows of offsets that lie side by side and equally high.
+fn chords(near: &[(i64, i64, f32)]) -> Vec<Chord> {
+    let one = |&(first, row, z): &(i64, i64, f32)| Chord { row, first, width: 1, z };
+    let joins =
+        |a: &(i64, i64, f32), b: &(i64, i64, f32)| a.1 == b.1 && a.0 + 1 == b.0 && a.2 == b.2;
+    let runs = near.chunk_by(joins);
+    runs.flat_map(|run| match run.len() {
+        n if n < LEAST_CHORD => run.iter().map(one).collect(),
+        width => vec![Chord { width, ..one(&run[0]) }],
+    })
+    .collect()
 }
 
 /// Radius in cells up to which a profile is sampled cell by cell. Larger is slower without being
@@ -157,40 +186,53 @@ impl Profile {
             inner = outer;
         }
         let platform = Some(height(1e9)).filter(|z| z.is_finite());
-        Profile { near, discs, platform }
+        let chords = chords(&near);
+        Profile { near, chords, discs, platform }
     }
 
     /// max over p of img(p) − f(|p − q|) for every cell q of `over`, which shares the lattice's
     /// pitch and anchor; `highest` is the top of everything, also outside the image.
-    pub fn dilate(&self, img: &Image, over: Lattice, highest: f64) -> Image {
+    ///
+    /// # Errors
+    /// When the user stops the run: with tools wider than the part an image takes minutes.
+    pub fn dilate(
+        &self,
+        img: &Image,
+        over: Lattice,
+        highest: f64,
+        ctx: &Ctx,
+    ) -> Result<Image, Cancelled> {
         let shift = ((over.origin - img.lattice.origin) / img.lattice.s).round();
         let (si, sj) = (shift.x as i64, shift.y as i64);
         let floor = self.platform.map_or(f32::NEG_INFINITY, |z| highest as f32 - z);
-        let tables: Vec<RowMax> =
-            if self.discs.is_empty() { Vec::new() } else { row_tables(img, self.widest()) };
+        let tables = row_tables(img, self.widest());
+        let table = |y: i64| usize::try_from(y).ok().and_then(|y| tables.get(y));
         let mut out = Image::empty(over);
         let nx = over.n[0].max(1);
-        out.data.par_chunks_mut(nx).enumerate().for_each(|(j, row)| {
-            row.fill(floor);
-            let y = j as i64 + sj;
-            for &(di, dj, z) in &self.near {
-                if let Some(src) = img_row(img, y + dj) {
-                    lift(row, src, si + di, z);
+        out.data.par_chunks_mut(nx).enumerate().try_for_each(
+            |(j, row)| -> Result<(), Cancelled> {
+                ctx.check()?;
+                row.fill(floor);
+                let y = j as i64 + sj;
+                for c in &self.chords {
+                    if let Some(t) = table(y + c.row) {
+                        t.lift(row, si + c.first, c.width, c.z);
+                    }
                 }
-            }
-            for &(radius, z) in &self.discs {
-                let n = radius.floor() as i64;
-                for dj in -n..=n {
-                    let Some(y) = usize::try_from(y + dj).ok().filter(|y| *y < img.lattice.n[1])
-                    else {
-                        continue;
-                    };
-                    let half = (radius * radius - (dj * dj) as f64).max(0.0).sqrt().floor() as i64;
-                    tables[y].lift(row, si, half, z);
+                for &(radius, z) in &self.discs {
+                    let n = radius.floor() as i64;
+                    for dj in -n..=n {
+                        if let Some(t) = table(y + dj) {
+                            let half = radius * radius - (dj * dj) as f64;
+                            let half = half.max(0.0).sqrt().floor() as i64;
+                            t.lift(row, si - half, 2 * half as usize + 1, z);
+                        }
+                    }
                 }
-            }
-        });
-        out
+                Ok(())
+            },
+        )?;
+        Ok(out)
     }
 
     /// The cells of the profile near its axis (all of a cutter's edge) with their heights.
@@ -199,92 +241,8 @@ impl Profile {
     }
 
     fn widest(&self) -> usize {
-        self.discs.iter().map(|d| 2 * d.0.floor() as usize + 1).max().unwrap_or(1)
-    }
-}
-
-fn img_row(img: &Image, y: i64) -> Option<&[f32]> {
-    let [nx, ny] = img.lattice.n;
-    let y = usize::try_from(y).ok().filter(|y| *y < ny)?;
-    Some(&img.data[y * nx..(y + 1) * nx])
-}
-
-/// row[i] = max(row[i], src[i + shift] − z) where both exist.
-fn lift(row: &mut [f32], src: &[f32], shift: i64, z: f32) {
-    let from = (-shift).clamp(0, row.len() as i64);
-    let to = (src.len() as i64 - shift).clamp(from, row.len() as i64);
-    if from == to {
-        return;
-    }
-    let src = &src[(from + shift) as usize..(to + shift) as usize];
-    for (r, s) in row[from as usize..to as usize].iter_mut().zip(src) {
-        *r = r.max(s - z);
-    }
-}
-
-/// Sparse table of one row: level k holds maxima over 2ᵏ cells to the right.
-struct RowMax(Vec<Vec<f32>>);
-
-fn row_tables(img: &Image, widest: usize) -> Vec<RowMax> {
-    let nx = img.lattice.n[0].max(1);
-    let build = |row: &[f32]| {
-        let mut levels = vec![row.to_vec()];
-        let mut span = 1;
-        while 2 * span <= widest && 2 * span <= nx {
-            let last = &levels[levels.len() - 1];
-            let next = (0..=nx - 2 * span).map(|i| last[i].max(last[i + span])).collect();
-            levels.push(next);
-            span *= 2;
-        }
-        RowMax(levels)
-    };
-    img.data.par_chunks(nx).map(build).collect()
-}
-
-impl RowMax {
-    /// row[i] = max(row[i], max of the table's cells within `half` of i + shift, less z).
-    fn lift(&self, row: &mut [f32], shift: i64, half: i64, z: f32) {
-        let (n, len) = (self.0[0].len() as i64, row.len() as i64);
-        // Where the whole chord lies in the row, two lookups a cell do.
-        let from = (half - shift).clamp(0, len);
-        let to = (n - half - shift).clamp(from, len);
-        let width = 2 * half as usize + 1;
-        let k = width.ilog2() as usize;
-        if let Some(level) = self.0.get(k).filter(|_| to > from) {
-            let count = (to - from) as usize;
-            let left = (from + shift - half) as usize;
-            let right = left + width - (1 << k);
-            let pairs = level[left..left + count].iter().zip(&level[right..right + count]);
-            for (r, (a, b)) in row[from as usize..to as usize].iter_mut().zip(pairs) {
-                *r = r.max(a.max(*b) - z);
-            }
-            self.lift_cut(&mut row[..from as usize], shift, half, z);
-            self.lift_cut(&mut row[to as usize..], shift + to, half, z);
-        } else {
-            self.lift_cut(row, shift, half, z);
-        }
-    }
-
-    /// The same cell by cell, for chords that the row's ends cut.
-    fn lift_cut(&self, row: &mut [f32], shift: i64, half: i64, z: f32) {
-        let n = self.0[0].len() as i64;
-        for (i, r) in row.iter_mut().enumerate() {
-            let c = i as i64 + shift;
-            let (a, b) = ((c - half).max(0), (c + half).min(n - 1));
-            if a > b {
-                continue;
-            }
-            let k = ((b - a + 1).ilog2() as usize).min(self.0.len() - 1);
-            let level = &self.0[k];
-            let span = 1usize << k;
-            let (mut at, last) = (a as usize, b as usize + 1 - span);
-            let mut m = level[at].max(level[last]);
-            while at + span < last {
-                at += span;
-                m = m.max(level[at]);
-            }
-            *r = r.max(m - z);
-        }
+        let discs = self.discs.iter().map(|d| 2 * d.0.floor() as usize + 1);
+        self.chords.iter().map(|c| c.width).chain(discs).max().unwrap_or(1)
     }
 }
 
@@ -325,7 +283,8 @@ mod tests {
             }
             let f = |rho: f64| if platform { surface(rho).min(30.0) } else { surface(rho) };
             let over = lattice([25, 20], [7, 4]);
-            let out = Profile::new(f, 20.5, 1.0, side, 0.25).dilate(&img, over, 50.0);
+            let profile = Profile::new(f, 20.5, 1.0, side, 0.25);
+            let out = profile.dilate(&img, over, 50.0, &Ctx::quiet()).unwrap();
             for c in (0..over.cells()).map(|i| over.cell_of_index(i)) {
                 let mut want = if platform { 50.0 - 30.0 + 0.25 } else { f64::NEG_INFINITY };
                 for (k, z) in img.data.iter().enumerate() {
@@ -341,5 +300,50 @@ mod tests {
                 prop_assert!(got == want || (got - want).abs() < 1e-4, "{c:?}: {got} {want}");
             }
         }
+    }
+    /// Chords and discs give what every cell of the profile gives by itself, to the last bit.
+    #[test]
+    fn rows_of_one_height_are_lifted_as_their_cells_are() {
+        let mut rng = crate::base::rng(17, 0);
+        let mut img = Image::empty(lattice([61, 44], [0, 0]));
+        for z in img.data.iter_mut().skip(61 * 9) {
+            if rand::RngExt::random_range(&mut rng, 0..9) == 0 {
+                *z = rand::RngExt::random_range(&mut rng, -20.0f32..40.0);
+            }
+        }
+        let wavy = |rho: f64| (rho * 0.7).floor().min(6.0);
+        for (radius, side) in [(0.4, 0.0), (3.0, 0.3), (12.0, 0.0), (15.9, 0.1), (90.0, 0.0)] {
+            let profile = Profile::new(wavy, radius, 1.0, side, 0.25);
+            assert!(radius < 9.0 || profile.chords.iter().any(|c| c.width > LEAST_CHORD));
+            let over = lattice([70, 30], [-9, 5]);
+            let out = profile.dilate(&img, over, f64::NEG_INFINITY, &Ctx::quiet()).unwrap();
+            let mut cells = profile.near.clone();
+            for (radius, z) in &profile.discs {
+                let n = radius.floor() as i64;
+                let all = (-n..=n).flat_map(|j| (-n..=n).map(move |i| (i, j)));
+                let within = all.filter(|(i, j)| ((i * i + j * j) as f64) <= radius * radius);
+                cells.extend(within.map(|(i, j)| (i, j, *z)));
+            }
+            for (q, got) in out.data.iter().enumerate() {
+                let [i, j] = over.cell_of_index(q).map(|c| c as i64);
+                let want = cells.iter().filter_map(|(di, dj, z)| {
+                    let (x, y) = (i - 9 + di, j + 5 + dj);
+                    let inside = (0..61).contains(&x) && (0..44).contains(&y);
+                    inside.then(|| img.data[x as usize + 61 * y as usize] - z)
+                });
+                let platform =
+                    profile.platform.map_or(f32::NEG_INFINITY, |z| f32::NEG_INFINITY - z);
+                assert_eq!(*got, want.fold(platform, f32::max), "{radius} at {i}, {j}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_run_that_is_stopped_gets_no_image() {
+        let stopped = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
+        let silent = Ctx::new(stopped, None, std::sync::Arc::new(crate::base::Silent), 0);
+        let img = Image::empty(lattice([8, 8], [0, 0]));
+        let profile = Profile::new(surface, 20.5, 1.0, 0.0, 0.0);
+        assert!(profile.dilate(&img, img.lattice, 0.0, &silent).is_err());
     }
 }

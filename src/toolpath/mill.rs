@@ -19,7 +19,7 @@ use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
-use crate::base::{DVec2, DVec3};
+use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
 use crate::voxel::{BitGrid, Frame};
@@ -54,6 +54,7 @@ pub(super) struct Work<'a> {
     pub fixed: &'a [DVec3],
     /// Voxels at the surface of M* and at that of M.
     pub surfaces: &'a [BitGrid; 2],
+    pub ctx: &'a Ctx,
 }
 
 pub(super) struct Milled {
@@ -62,15 +63,17 @@ pub(super) struct Milled {
     pub figures: Figures,
 }
 
-pub(super) fn mill(work: &Work, process: &Milling) -> Milled {
-    let mut stage = Stage::new(work, *process);
-    stage.rough();
-    stage.finish();
-    let covered = stage.rest();
+/// # Errors
+/// When the user stops the run.
+pub(super) fn mill(work: &Work, process: &Milling) -> Result<Milled, Cancelled> {
+    let mut stage = Stage::new(work, *process)?;
+    stage.rough()?;
+    stage.finish()?;
+    let covered = stage.rest()?;
     let safe_height = stage.safe;
     let moves = stage.moves;
     let figures = Figures { coverage: covered, ..Figures::default() };
-    Milled { moves, safe_height, figures }
+    Ok(Milled { moves, safe_height, figures })
 }
 
 /// Pitch of the tip lattice: the plan's rule.
@@ -122,15 +125,21 @@ impl Free {
     }
 
     /// H with the tool grown by `side` and `down`, mm.
-    pub fn heights(&self, tool: &Tool, side: f64, down: f64) -> Image {
+    pub fn heights(
+        &self,
+        tool: &Tool,
+        side: f64,
+        down: f64,
+        ctx: &Ctx,
+    ) -> Result<Image, Cancelled> {
         let s = self.window.s;
         let profile = Profile::new(|rho| tool.lower_surface(rho), tool.max_radius(), s, side, down);
-        self.dilated(&profile)
+        self.dilated(&profile, ctx)
     }
 
     /// The obstacles dilated by any profile.
-    pub fn dilated(&self, profile: &Profile) -> Image {
-        profile.dilate(&self.obstacles, self.window, self.highest)
+    pub fn dilated(&self, profile: &Profile, ctx: &Ctx) -> Result<Image, Cancelled> {
+        profile.dilate(&self.obstacles, self.window, self.highest, ctx)
     }
 
     /// An image as large as the obstacles', without any.
@@ -171,10 +180,14 @@ struct Stage<'a> {
     /// How far from its cell the tip stands.
     aside: DVec2,
     moves: Vec<Move>,
+    /// Lowest tip of the cuts so far over each cell, its sign turned.
+    swept: Image,
+    /// Moves of which it has the cuts.
+    noted: usize,
 }
 
 impl<'a> Stage<'a> {
-    fn new(work: &'a Work<'a>, process: Milling) -> Self {
+    fn new(work: &'a Work<'a>, process: Milling) -> Result<Self, Cancelled> {
         let h = work.frame.pitch;
         let radius = work.tool.active_radius();
         let free = Free::around(work, work.after, radius);
@@ -183,7 +196,7 @@ impl<'a> Stage<'a> {
             Profile::new(|rho| work.tool.active_lower_surface(rho), radius, lattice.s, 0.0, 0.0);
         let (mut tops, mut bottoms) = (Image::empty(lattice), Image::empty(lattice));
         let plane = lattice.plane;
-        let meshes = Exact::of(work, &free);
+        let meshes = Exact::of(work, &free)?;
         // A voxel's face lies up to half a pitch from the surface that the meshes tell exactly.
         let under = if meshes.is_some() { h } else { h / 2.0 };
         for v in work.step.region.iter_ones() {
@@ -204,16 +217,19 @@ impl<'a> Stage<'a> {
         let half = h / 2.0 + rounding(work, lattice.s);
         let heights = |side: f64, down: f64| match &meshes {
             Some(m) => m.heights(work, &free, side, down, 0.0),
-            None => Lowest::of_voxels(free.heights(work.tool, side, down)),
+            None => free.heights(work.tool, side, down, work.ctx).map(Lowest::of_voxels),
         };
-        let (fine, exact) = (heights(half, h / 2.0), heights(0.0, 0.0));
+        let (fine, exact) = (heights(half, h / 2.0)?, heights(0.0, 0.0)?);
         let highest = |i: &Image| i.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let safe = free.state_top.max(f64::from(highest(&fine.tips))) + CLEARANCE_MM;
         let stock = Stock::new(&tops, &edge, h / 2.0);
-        Stage {
+        let over = |profile: &Profile, img: &Image| {
+            profile.dilate(img, lattice, f64::NEG_INFINITY, work.ctx)
+        };
+        Ok(Stage {
             stock,
-            top: edge.dilate(&tops, lattice, f64::NEG_INFINITY),
-            floor: disc.dilate(&bottoms, lattice, f64::NEG_INFINITY).negated(),
+            top: over(&edge, &tops)?,
+            floor: over(&disc, &bottoms)?.negated(),
             fine,
             exact,
             meshes,
@@ -228,28 +244,26 @@ impl<'a> Stage<'a> {
             to_walls: false,
             aside: DVec2::ZERO,
             moves: Vec::new(),
-        }
+            swept: Image::empty(lattice),
+            noted: 0,
+        })
     }
 
-    fn rough(&mut self) {
+    fn rough(&mut self) -> Result<(), Cancelled> {
         let stock = self.process.stock;
         let h = self.work.frame.pitch;
         let half = h / 2.0 + rounding(self.work, self.lattice.s);
-        let coarse = self.free.heights(self.work.tool, half + stock, h / 2.0 + stock);
+        let (side, down) = (half + stock, h / 2.0 + stock);
+        let coarse = self.free.heights(self.work.tool, side, down, self.work.ctx)?;
         let coarse = match &self.meshes {
             None => coarse,
             // The voxels' margin is the stock's to the side; over the meshes it is exact below.
-            Some(m) => {
-                let side = half + stock;
-                let mut z = m.heights(self.work, &self.free, side, h / 2.0 + stock, stock).tips;
-                z.data.iter_mut().zip(&coarse.data).for_each(|(z, c)| *z = z.max(*c));
-                z
-            }
+            Some(m) => m.raised(self.work, &self.free, coarse, [side, down, stock])?,
         };
         let bottom = self.bottoms(&coarse);
         let near = vec![f32::INFINITY; bottom.len()];
         let ceiling = self.top.data.clone();
-        self.levels(&bottom, &ceiling, &near);
+        self.levels(&bottom, &ceiling, &near)
     }
 
     /// max(H, floor) per cell; +∞ where the edge meets no region at any height.
@@ -262,7 +276,7 @@ impl<'a> Stage<'a> {
 
     /// Cuts down to `bottom` in levels, where that is below `ceiling`. Levels above what was
     /// already cut `near` a cell are passed over: only air is left there.
-    fn levels(&mut self, bottom: &[f32], ceiling: &[f32], near: &[f32]) {
+    fn levels(&mut self, bottom: &[f32], ceiling: &[f32], near: &[f32]) -> Result<(), Cancelled> {
         let same = SAME_HEIGHT_MM as f32;
         let due: Vec<usize> = (0..bottom.len())
             .filter(|i| bottom[*i] < ceiling[*i].min(self.done[*i]) - same)
@@ -282,19 +296,20 @@ impl<'a> Stage<'a> {
                 set[i] = fresh && (bottom[i] >= level || level < near[i]);
             }
             let stepover = self.process.stepover / self.lattice.s;
-            self.passes(&set, stepover, &z, self.process.feed);
+            self.passes(&set, stepover, &z, self.process.feed)?;
             for &i in due.iter().filter(|i| set[**i]) {
                 self.done[i] = self.done[i].min(z(i));
             }
             last = level;
             k += 1.0;
         }
+        Ok(())
     }
 
-    fn finish(&mut self) {
+    fn finish(&mut self) -> Result<(), Cancelled> {
         self.to_walls = true;
         let bottom = self.bottoms(&self.fine.tips);
-        let near = self.near();
+        let near = self.near()?;
         let same = SAME_HEIGHT_MM as f32;
         let due: Vec<bool> = (0..bottom.len())
             .map(|i| bottom[i] < self.top.data[i].min(self.done[i]) - same)
@@ -308,7 +323,7 @@ impl<'a> Stage<'a> {
             })
             .collect();
         let ceiling = self.top.data.clone();
-        self.levels(&deep, &ceiling, &near);
+        self.levels(&deep, &ceiling, &near)?;
         // Steep faces level by level, the others by passes as far apart: up to 45° either leaves
         // ridges no higher than the scallop.
         let ridge = self.process.finishing_stepover(self.work.tool) * DIAGONAL;
@@ -317,10 +332,10 @@ impl<'a> Stage<'a> {
             .enumerate()
             .map(|(i, s)| if due[i] && *s > 1.0 { bottom[i] } else { f32::INFINITY })
             .collect();
-        let near = self.near();
+        let near = self.near()?;
         let rough = self.process.step_down;
         self.process.step_down = ridge.min(rough);
-        self.levels(&steep, &ceiling, &near);
+        self.levels(&steep, &ceiling, &near)?;
         self.process.step_down = rough;
         let mut flat: Vec<bool> =
             (0..due.len()).map(|i| due[i] && steep[i].is_infinite()).collect();
@@ -329,81 +344,82 @@ impl<'a> Stage<'a> {
         let radius = self.work.tool.active_radius() / self.lattice.s;
         let least = (std::f64::consts::PI * radius * radius).ceil() as usize;
         for face in faces(&self.lattice, &bottom, &flat, least) {
-            self.face(&face, &bottom);
+            self.face(&face, &bottom)?;
             for i in face {
                 flat[i] = false;
                 self.done[i] = self.done[i].min(bottom[i]);
             }
         }
-        self.passes(&flat, stepover, &z, self.process.feed);
+        self.passes(&flat, stepover, &z, self.process.feed)?;
         for i in (0..bottom.len()).filter(|i| flat[*i]) {
             self.done[i] = self.done[i].min(bottom[i]);
         }
         self.to_walls = false;
+        Ok(())
     }
 
     /// Rows over a flat face and once around its rim.
-    fn face(&mut self, face: &[usize], bottom: &[f32]) {
+    fn face(&mut self, face: &[usize], bottom: &[f32]) -> Result<(), Cancelled> {
         let apart = self.process.finishing_stepover(self.work.tool) / self.lattice.s;
         let step = apart.floor().max(1.0) as usize;
         let z = |i: usize| bottom[i];
         let feed = self.process.feed;
-        self.follow(rows(&self.lattice, face, step), apart, &z, feed);
+        self.follow(rows(&self.lattice, face, step), apart, &z, feed)?;
         let mut rim = vec![false; bottom.len()];
         face.iter().for_each(|i| rim[*i] = true);
         // The first ring of a set is its rim; a second one would be this many cells inside it.
         const NO_OTHER: f64 = 1e9;
-        self.follow(chains(&self.lattice, &rim, NO_OTHER), apart, &z, feed);
+        self.follow(chains(&self.lattice, &rim, NO_OTHER), apart, &z, feed)
     }
 
     /// Lowest height cut within a stock's width and two cells of each cell.
-    fn near(&self) -> Vec<f32> {
+    fn near(&self) -> Result<Vec<f32>, Cancelled> {
         let s = self.lattice.s;
         let reach = ((self.process.stock / s).ceil() + 2.0) * s;
         let box_of = |rho: f64| if rho <= reach { 0.0 } else { f64::INFINITY };
         let done = Image { lattice: self.lattice, data: self.done.clone() };
         let disc = Profile::new(box_of, reach, s, 0.0, 0.0);
-        let low = disc.dilate(&done.negated(), self.lattice, f64::NEG_INFINITY);
-        low.data.iter().map(|z| if z.is_finite() { -z } else { f32::INFINITY }).collect()
+        let low = disc.dilate(&done.negated(), self.lattice, f64::NEG_INFINITY, self.work.ctx)?;
+        Ok(low.data.iter().map(|z| if z.is_finite() { -z } else { f32::INFINITY }).collect())
     }
 
     /// Cuts what region is left uncovered from the tips that reach it without margin; returns the
     /// fraction of the region that is covered in the end.
-    fn rest(&mut self) -> f64 {
+    fn rest(&mut self) -> Result<f64, Cancelled> {
         let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
         let exact = std::mem::take(&mut self.exact.tips.data);
-        let share = self.rest_over(&exact, half, 0.0);
+        let share = self.rest_over(&exact, half, 0.0)?;
         if self.meshes.is_none() || share == 1.0 {
-            return share;
+            return Ok(share);
         }
         // What the meshes leave no room for, the voxels may, which is what the plan was made on:
         // lumps deeper than the tolerance go as far as a nick lets the tool in; a block of which
         // so much is left that the plan's volume is not cut goes at the price of a pitch's gouge, and so does
         // what is deeper than the rules allow. Deep
         // is meant to all sides: along a wall a cell's width that is left is none.
-        let (_, share) = self.uncovered(half, half);
-        let plain = self.free.heights(self.work.tool, 0.0, 0.0).data;
+        let (_, share) = self.uncovered(half, half)?;
+        let plain = self.free.heights(self.work.tool, 0.0, 0.0, self.work.ctx)?.data;
         let tolerance = self.work.job.rules.tolerance_mm;
         if share < LEAST_SHARE {
-            self.rest_over(&plain, half, half);
+            self.rest_over(&plain, half, half)?;
         } else {
             let nick = |(z, e): (&f32, &f32)| z.max(e - NICK_MM as f32);
             let nicked: Vec<f32> = plain.iter().zip(&exact).map(nick).collect();
             let deep = (tolerance / 2.0).max(half);
-            self.rest_over(&nicked, deep, deep);
+            self.rest_over(&nicked, deep, deep)?;
             // Nor may a lump be left that the program's check would find.
             let deepest = (LUMP_SHARE * tolerance).max(half);
-            self.rest_over(&plain, deepest, deepest);
+            self.rest_over(&plain, deepest, deepest)?;
         }
-        self.uncovered(half, half).1
+        Ok(self.uncovered(half, half)?.1)
     }
 
     /// Cuts the region farther than `slack` under and `side` beside what was swept, with lowest
     /// tips `free`.
-    fn rest_over(&mut self, free: &[f32], slack: f64, side: f64) -> f64 {
-        let (uncovered, share) = self.uncovered(slack, side);
+    fn rest_over(&mut self, free: &[f32], slack: f64, side: f64) -> Result<f64, Cancelled> {
+        let (uncovered, share) = self.uncovered(slack, side)?;
         if uncovered.is_empty() {
-            return share;
+            return Ok(share);
         }
         let h = self.work.frame.pitch as f32;
         let mut offsets = self.edge.offsets();
@@ -422,32 +438,21 @@ impl<'a> Stage<'a> {
                 need[at] = need[at].min(z);
             }
         }
-        let near = self.near();
+        let near = self.near()?;
         let ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
-        self.levels(&need, &ceiling, &near);
-        self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM, 0.0).1
+        self.levels(&need, &ceiling, &near)?;
+        Ok(self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM, 0.0)?.1)
     }
 
     /// Region voxels farther than `slack` under what the edge, grown by `side`, swept (cell and
     /// height), and the fraction of the others.
-    fn uncovered(&self, slack: f64, side: f64) -> (Vec<(Cell, f32)>, f64) {
+    fn uncovered(&mut self, slack: f64, side: f64) -> Result<(Vec<(Cell, f32)>, f64), Cancelled> {
         let l = self.lattice;
         let tool = self.work.tool;
         let edge = |rho: f64| tool.active_lower_surface(rho);
         let edge = Profile::new(edge, tool.active_radius(), l.s, side, 0.0);
-        let mut swept = Image::empty(l);
-        let cut = |w: &&[Move]| w[1].kind == MoveKind::Cut;
-        for w in self.moves.windows(2).filter(cut) {
-            let n = (w[0].tip.distance(w[1].tip) / (l.s / 2.0)).ceil().max(1.0);
-            for i in 0..=n as usize {
-                let p = w[0].tip.lerp(w[1].tip, i as f64 / n);
-                if let Some(c) = l.cell(l.plane.across(p)) {
-                    let i = l.index(c);
-                    swept.data[i] = swept.data[i].max(-(l.plane.height(p) as f32));
-                }
-            }
-        }
-        let reached = edge.dilate(&swept, l, f64::NEG_INFINITY);
+        self.note_cuts();
+        let reached = edge.dilate(&self.swept, l, f64::NEG_INFINITY, self.work.ctx)?;
         let half = slack as f32;
         let (mut left, mut all) = (Vec::new(), 0usize);
         for v in self.work.step.region.iter_ones() {
@@ -461,15 +466,39 @@ impl<'a> Stage<'a> {
             }
         }
         let share = 1.0 - left.len() as f64 / all.max(1) as f64;
-        (left, share)
+        Ok((left, share))
+    }
+
+    /// Adds the cuts made since the last time to what was swept.
+    fn note_cuts(&mut self) {
+        let l = self.lattice;
+        let cut = |w: &&[Move]| w[1].kind == MoveKind::Cut;
+        let since = &self.moves[self.noted.saturating_sub(1)..];
+        for w in since.windows(2).filter(cut) {
+            let n = (w[0].tip.distance(w[1].tip) / (l.s / 2.0)).ceil().max(1.0);
+            for i in 0..=n as usize {
+                let p = w[0].tip.lerp(w[1].tip, i as f64 / n);
+                if let Some(c) = l.cell(l.plane.across(p)) {
+                    let i = l.index(c);
+                    self.swept.data[i] = self.swept.data[i].max(-(l.plane.height(p) as f32));
+                }
+            }
+        }
+        self.noted = self.moves.len();
     }
 
     /// Contour-parallel passes over a set of cells.
-    fn passes(&mut self, set: &[bool], stepover: f64, z: &dyn Fn(usize) -> f32, feed: f64) {
+    fn passes(
+        &mut self,
+        set: &[bool],
+        stepover: f64,
+        z: &dyn Fn(usize) -> f32,
+        feed: f64,
+    ) -> Result<(), Cancelled> {
         if !set.contains(&true) {
-            return;
+            return Ok(());
         }
-        self.follow(chains(&self.lattice, set, stepover), stepover, z, feed);
+        self.follow(chains(&self.lattice, set, stepover), stepover, z, feed)
     }
 
     fn follow(
@@ -478,9 +507,10 @@ impl<'a> Stage<'a> {
         stepover: f64,
         z: &dyn Fn(usize) -> f32,
         feed: f64,
-    ) {
+    ) -> Result<(), Cancelled> {
         let at = self.at.map(|(c, _)| c);
         for chain in nearest_order(lines, at) {
+            self.work.ctx.check()?;
             if !self.link(chain[0], stepover, z) {
                 let way = ramp(&self.lattice, &chain, z, &|i| self.stock.over(i), self.safe);
                 self.enter(chain[0], way.from, f64::from(z(self.lattice.index(chain[0]))));
@@ -491,6 +521,7 @@ impl<'a> Stage<'a> {
             }
         }
         self.retract();
+        Ok(())
     }
 
     /// Goes over the first cell of the next chain, no lower than what lies on the way, when it is

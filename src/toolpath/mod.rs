@@ -25,6 +25,7 @@ mod polygons;
 mod print;
 mod process;
 mod ramp;
+mod rowmax;
 mod slice;
 mod timing;
 #[cfg(test)]
@@ -179,7 +180,7 @@ fn plan_paths(job: &Job, plan: &Plan, ctx: &Ctx) -> Result<Vec<Toolpath>, Toolpa
         .into_par_iter()
         .map(|i| {
             ctx.check()?;
-            let path = step_path(job, plan, &replay, &surfaces, i)?;
+            let path = step_path(job, plan, &replay, &surfaces, i, ctx)?;
             ctx.advance(1);
             Ok(path)
         })
@@ -194,6 +195,7 @@ fn step_path(
     replay: &Replay,
     surfaces: &[BitGrid; 2],
     i: usize,
+    ctx: &Ctx,
 ) -> Result<Toolpath, ToolpathError> {
     let step = &plan.steps[i];
     let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
@@ -207,10 +209,11 @@ fn step_path(
         after: &replay.states[i + 1],
         fixed: &replay.fixed[i],
         surfaces,
+        ctx,
     };
     let (moves, safe_height, mut figures, bead_mm2, nominal) = match step.kind {
         StepKind::Subtractive => {
-            let m = mill::mill(&work, &Milling::of(&job.machine, tool));
+            let m = mill::mill(&work, &Milling::of(&job.machine, tool))?;
             (m.moves, m.safe_height, m.figures, 0.0, 0.0)
         }
         StepKind::Additive => {
@@ -218,7 +221,7 @@ fn step_path(
             let no_extruder = || ToolpathError::NoExtruder { step: i, machine };
             let extruder = job.machine.extruder.as_ref().ok_or_else(no_extruder)?;
             let process = Printing::of(&job.machine, extruder, tool);
-            let p = print::print(&work, &process);
+            let p = print::print(&work, &process)?;
             let section = tool.process.bead_section_mm2();
             (p.moves, p.safe_height, p.figures, section, process.feed)
         }

@@ -20,7 +20,7 @@ use super::piece::{Piece, outlines};
 use super::polygons::{clip_lines, difference, intersection, of_paths, offset, simple, union};
 use super::process::{CLEARANCE_MM, Printing};
 use super::slice::area;
-use crate::base::{DVec2, DVec3};
+use crate::base::{Cancelled, DVec2, DVec3};
 use crate::machine::Seam;
 use clipper2_rust::{PathD, PathsD, PointD};
 use rayon::prelude::*;
@@ -99,7 +99,7 @@ fn slabs(low: f64, high: f64, process: &Printing) -> Vec<Slab> {
     (0..count as usize).map(|k| slab(k as f64)).collect()
 }
 
-pub(super) fn print(work: &Work, process: &Printing) -> Printed {
+pub(super) fn print(work: &Work, process: &Printing) -> Result<Printed, Cancelled> {
     let plane = work.step.direction.image_plane();
     let h = work.frame.pitch;
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -129,7 +129,7 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     }
     let thin_mm3 = layers.iter().map(|l| l.thin_mm3).sum::<f64>();
     let free = Free::around(work, work.before, h);
-    let heights = free.heights(work.tool, 0.0, 0.0);
+    let heights = free.heights(work.tool, 0.0, 0.0, work.ctx)?;
     let blocked = heights.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let top = high + process.layer;
     let safe = free.state_top.max(f64::from(blocked)).max(top) + CLEARANCE_MM;
@@ -143,7 +143,7 @@ pub(super) fn print(work: &Work, process: &Printing) -> Printed {
     }
     head.leave();
     let figures = Figures { thin_mm3, ..Figures::default() };
-    Printed { moves: head.moves, safe_height: safe, figures }
+    Ok(Printed { moves: head.moves, safe_height: safe, figures })
 }
 
 /// What of the layers does not depend on how their beads are laid.
