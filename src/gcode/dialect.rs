@@ -182,11 +182,50 @@ impl Dialect {
 
 /// A number with fixed decimals and without a negative zero.
 pub(super) fn number(value: f64, digits: usize) -> String {
+    if let Some(text) = plainly(value, digits) {
+        return text;
+    }
     let text = format!("{value:.digits$}");
     match text.strip_prefix('-') {
         Some(rest) if rest.bytes().all(|b| b == b'0' || b == b'.') => rest.to_string(),
         _ => text,
     }
+}
+
+/// The same by whole numbers, for all that a program has millions of; none where the last digit
+/// hangs on what lies beyond the 53 bits of the product, or the number is larger than any length.
+fn plainly(value: f64, digits: usize) -> Option<String> {
+    const TENS: [u32; 7] = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000];
+    /// The product is off by less than 10⁻⁶ as long as it is smaller than this.
+    const LARGEST: f64 = 4e9;
+    let unit = *TENS.get(digits)?;
+    let scaled = value.abs() * f64::from(unit);
+    if scaled.is_nan() || scaled >= LARGEST {
+        return None;
+    }
+    let whole = scaled as u64;
+    let rest = scaled - whole as f64;
+    if (rest - 0.5).abs() < 1e-5 {
+        return None;
+    }
+    let whole = whole + u64::from(rest > 0.5);
+    let mut text = [b'0'; 24];
+    let (mut at, mut left, mut written) = (text.len(), whole, 0);
+    while left > 0 || written <= digits {
+        if written == digits && digits > 0 {
+            at -= 1;
+            text[at] = b'.';
+        }
+        at -= 1;
+        text[at] = b'0' + (left % 10) as u8;
+        left /= 10;
+        written += 1;
+    }
+    if value < 0.0 && whole > 0 {
+        at -= 1;
+        text[at] = b'-';
+    }
+    std::str::from_utf8(&text[at..]).ok().map(str::to_string)
 }
 
 #[cfg(test)]
@@ -199,6 +238,26 @@ mod tests {
         assert_eq!(number(-0.0, 3), "0.000");
         assert_eq!(number(-1.5, 3), "-1.500");
         assert_eq!(number(12.34567, 4), "12.3457");
+    }
+
+    #[test]
+    fn whole_numbers_write_what_the_formatter_does() {
+        let mut rng = crate::base::rng(23, 0);
+        let mut values = vec![0.0005, 0.0015, 2.5, 0.5, 1e-9, -1e-9, 0.9996, 999.9995, 1e12, 0.1];
+        for far in [1e-3, 1.0, 50.0, 4e3, 1e7] {
+            values.extend((0..2000).map(|_| rand::RngExt::random_range(&mut rng, -far..far)));
+        }
+        // Ties, and what three decimals round to.
+        values.extend((0..4000).map(|k| f64::from(k) / 16.0));
+        values.extend((0..4000).map(|k| f64::from(k) * 0.0005));
+        for (v, digits) in values.iter().flat_map(|v| (0..=7).map(move |d| (*v, d))) {
+            let mut want = format!("{v:.digits$}");
+            if want.trim_start_matches('-').bytes().all(|b| b == b'0' || b == b'.') {
+                want = want.trim_start_matches('-').to_string();
+            }
+            assert_eq!(number(v, digits), want, "{v:e} with {digits}");
+        }
+        assert!(plainly(-12.25, 3).is_some() && plainly(f64::NAN, 3).is_none());
     }
 
     #[test]

@@ -11,6 +11,7 @@ use crate::base::{DVec2, DVec3};
 use crate::machine::{AxisValues, NoPosture, Overtravel, Placement, RotaryAngles, Tool};
 use crate::plan::{Job, Plan, StepKind};
 use crate::toolpath::{Move, MoveKind, Replay, Toolpath, ToolpathError, Toolpaths};
+use rayon::prelude::*;
 use std::fmt::Write;
 
 /// Why a plan's paths cannot be written for the machine.
@@ -50,29 +51,101 @@ pub fn post(job: &Job, plan: &Plan, paths: &Toolpaths, digest: &str) -> Result<P
         return Err(PostError::OtherPlan { paths: paths.all().len(), steps });
     }
     let replay = Replay::of(job, plan)?;
-    let mut writer = Writer {
-        job,
-        dialect,
-        out: String::new(),
-        starts: Vec::new(),
-        rotary: job.machine.kinematics.home(),
-        last: Modal::default(),
-        block: 0,
+    let mut whole = Writer::new(job, dialect, job.machine.kinematics.home(), 0);
+    whole.header(plan, paths, digest);
+    let placement = |(path, center): (&Toolpath, &DVec3)| {
+        job.machine.placement(&plan.holdings[path.holding], *center)
     };
-    writer.header(plan, paths, digest);
-    let mut holding = 0;
-    for (path, center) in paths.all().iter().zip(&replay.contact_center) {
-        let placement = job.machine.placement(&plan.holdings[path.holding], *center);
-        writer.starts.push(writer.out.len());
-        if path.holding != holding {
-            writer.refixture(path);
-            holding = path.holding;
+    let all = paths.all();
+    let placements: Vec<Placement> =
+        all.iter().zip(&replay.contact_center).map(placement).collect();
+    let (postures, failed) = postures(job, &dialect, all, &placements);
+    // Parked between them, steps know nothing of each other but the rotary axes and the number of
+    // the last block.
+    let step = |i: usize, block: u32| -> Result<Writer, PostError> {
+        let mut writer = Writer::new(job, dialect, postures[i], block);
+        if all[i].holding != i.checked_sub(1).map_or(0, |before| all[before].holding) {
+            writer.refixture(&all[i]);
         }
-        writer.step(path, &placement)?;
+        writer.step(&all[i], &placements[i])?;
+        Ok(writer)
+    };
+    let mut starts = Vec::new();
+    let mut add = |writer: Writer, whole: &mut Writer| {
+        starts.push(whole.out.len());
+        whole.out.push_str(&writer.out);
+        whole.block = writer.block;
+    };
+    if dialect.numbered {
+        for i in 0..postures.len() {
+            add(step(i, whole.block)?, &mut whole);
+        }
+    } else {
+        let written: Vec<_> = (0..postures.len()).into_par_iter().map(|i| step(i, 0)).collect();
+        for writer in written {
+            add(writer?, &mut whole);
+        }
     }
-    let end = writer.out.len();
-    writer.epilogue();
-    Ok(Program::of_steps(writer.out, writer.starts, end))
+    if let Some(e) = failed {
+        return Err(e);
+    }
+    let end = whole.out.len();
+    whole.epilogue();
+    Ok(Program::of_steps(whole.out, starts, end))
+}
+
+/// Rotary angles of the steps, each as near as can be to the last, up to the first step that has
+/// none, and why.
+fn postures(
+    job: &Job,
+    dialect: &Dialect,
+    paths: &[Toolpath],
+    placements: &[Placement],
+) -> (Vec<RotaryAngles>, Option<PostError>) {
+    let mut found = Vec::new();
+    let mut last = job.machine.kinematics.home();
+    for (path, placement) in paths.iter().zip(placements) {
+        match posture(job, dialect, path, placement, last) {
+            Ok(angles) => last = angles,
+            Err(e) => return (found, Some(e)),
+        }
+        found.push(last);
+    }
+    (found, None)
+}
+
+/// Rotary angles of a step, rounded as they are written, with all its tips within travel.
+fn posture(
+    job: &Job,
+    dialect: &Dialect,
+    path: &Toolpath,
+    placement: &Placement,
+    last: RotaryAngles,
+) -> Result<RotaryAngles, PostError> {
+    let no_tool = || ToolpathError::NoTool { step: path.step, tool: path.tool.clone() };
+    let tool = job.tool(&path.tool).ok_or_else(no_tool)?;
+    let plane = path.direction.image_plane();
+    let mut low = DVec3::INFINITY;
+    let mut high = DVec3::NEG_INFINITY;
+    for m in &path.moves {
+        let p = DVec3::new(plane.u.dot(m.tip), plane.v.dot(m.tip), plane.d.dot(m.tip));
+        (low, high) = (low.min(p), high.max(p));
+    }
+    let corner = |i: usize| {
+        let pick = |b: usize, l: f64, h: f64| if i >> b & 1 == 0 { l } else { h };
+        plane.u * pick(0, low.x, high.x)
+            + plane.v * pick(1, low.y, high.y)
+            + plane.d * pick(2, low.z, high.z)
+    };
+    let tips: Vec<DVec3> =
+        if path.moves.is_empty() { Vec::new() } else { (0..8).map(corner).collect() };
+    let found = job
+        .machine
+        .posture(placement, path.direction, last, tool, &tips)
+        .map_err(|source| PostError::Posture { step: path.step, source })?;
+    let unit = 10f64.powi(dialect.rotary_digits as i32);
+    let round = |a: f64| (a * unit).round() / unit + 0.0;
+    Ok(RotaryAngles { first_deg: round(found.first_deg), second_deg: round(found.second_deg) })
 }
 
 /// Number of a tool: its place in the job's table, from 1.
@@ -92,8 +165,7 @@ struct Writer<'a> {
     job: &'a Job,
     dialect: Dialect,
     out: String,
-    /// Where each step begins in it.
-    starts: Vec<usize>,
+    /// Of the step.
     rotary: RotaryAngles,
     last: Modal,
     /// Number of the last numbered block.
@@ -113,7 +185,11 @@ fn plain(text: &str) -> String {
     text.chars().filter(keep).take(120).collect()
 }
 
-impl Writer<'_> {
+impl<'a> Writer<'a> {
+    fn new(job: &'a Job, dialect: Dialect, rotary: RotaryAngles, block: u32) -> Writer<'a> {
+        Writer { job, dialect, out: String::new(), rotary, last: Modal::default(), block }
+    }
+
     /// One block.
     fn line(&mut self, text: &str) {
         if self.dialect.numbered {
@@ -192,7 +268,6 @@ impl Writer<'_> {
         let no_tool = || ToolpathError::NoTool { step, tool: path.tool.clone() };
         let tool = job.tool(&path.tool).ok_or_else(no_tool)?;
         let number_of_tool = tool_number(job, &path.tool).ok_or_else(no_tool)?;
-        let rotary = self.posture(path, placement, tool)?;
         let d = path.direction.vec();
         let kind = match path.kind {
             StepKind::Subtractive => "subtractive",
@@ -207,7 +282,7 @@ impl Writer<'_> {
         } else {
             self.line(&format!("T{number_of_tool}"));
         }
-        self.index(rotary);
+        self.index();
         match path.kind {
             StepKind::Subtractive => {
                 self.line(&format!("M3 S{:.0}", job.machine.control.spindle(&tool.process)));
@@ -234,46 +309,14 @@ impl Writer<'_> {
         Ok(())
     }
 
-    /// Rotary angles of the step, rounded as they are written, with all its tips within travel.
-    fn posture(
-        &self,
-        path: &Toolpath,
-        placement: &Placement,
-        tool: &Tool,
-    ) -> Result<RotaryAngles, PostError> {
-        let plane = path.direction.image_plane();
-        let mut low = DVec3::INFINITY;
-        let mut high = DVec3::NEG_INFINITY;
-        for m in &path.moves {
-            let p = DVec3::new(plane.u.dot(m.tip), plane.v.dot(m.tip), plane.d.dot(m.tip));
-            (low, high) = (low.min(p), high.max(p));
-        }
-        let corner = |i: usize| {
-            let pick = |b: usize, l: f64, h: f64| if i >> b & 1 == 0 { l } else { h };
-            plane.u * pick(0, low.x, high.x)
-                + plane.v * pick(1, low.y, high.y)
-                + plane.d * pick(2, low.z, high.z)
-        };
-        let tips: Vec<DVec3> =
-            if path.moves.is_empty() { Vec::new() } else { (0..8).map(corner).collect() };
-        let found = self
-            .job
-            .machine
-            .posture(placement, path.direction, self.rotary, tool, &tips)
-            .map_err(|source| PostError::Posture { step: path.step, source })?;
-        let unit = 10f64.powi(self.dialect.rotary_digits as i32);
-        let round = |a: f64| (a * unit).round() / unit + 0.0;
-        Ok(RotaryAngles { first_deg: round(found.first_deg), second_deg: round(found.second_deg) })
-    }
-
     /// Turns the rotary axes; the tool stands at the parking height.
-    fn index(&mut self, to: RotaryAngles) {
+    fn index(&mut self) {
+        let to = self.rotary;
         let chain = &self.job.machine.kinematics;
         let digits = self.dialect.rotary_digits;
         let first = number(to.first_deg, digits);
         let second = number(to.second_deg, digits);
         self.line(&format!("G0 {}{first} {}{second}", chain.first.letter, chain.second.letter));
-        self.rotary = to;
         self.last.motion = Some(0);
     }
 
