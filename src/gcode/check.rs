@@ -41,7 +41,8 @@ pub fn check(
         .map(|i| {
             ctx.check()?;
             let line = run.step_lines.get(i).copied().unwrap_or(lines.max(1));
-            let judged = judge_step(job, plan, &replay, i, &run.motions, line)?;
+            let judged = judge_step(job, plan, &replay, i, &run.motions, line, ctx)?;
+            ctx.check()?;
             ctx.advance(1);
             Ok(judged)
         })
@@ -102,6 +103,7 @@ fn judge_step(
     i: usize,
     motions: &[Motion],
     line: usize,
+    ctx: &Ctx,
 ) -> Result<(StepFigures, Vec<Finding>), ToolpathError> {
     let step = &plan.steps[i];
     let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
@@ -115,6 +117,7 @@ fn judge_step(
         fixed: &replay.fixed[i],
         tolerance: job.rules.tolerance_mm,
         line,
+        ctx,
     };
     Ok(judge(&scene, of_step(motions, i)))
 }

@@ -27,6 +27,9 @@ struct Level {
 /// exact.
 const MOST_CELLS: f64 = 3e7;
 
+/// Level and coordinates of blocks to look at, kept from query to query.
+pub(super) type Blocks = Vec<(usize, [usize; 2])>;
+
 impl Skyline {
     /// `anchor` is the centre of some cell; `cell` its side, mm.
     pub fn new(points: &[DVec3], plane: ImagePlane, anchor: DVec3, cell: f64) -> Skyline {
@@ -49,9 +52,11 @@ impl Skyline {
         let n = [n.x as usize, n.y as usize];
         let mut top: Vec<Option<DVec3>> = vec![None; n[0] * n[1]];
         for p in points {
-            let g = ((plane.across(*p) - origin) / cell).floor();
+            let uv = plane.across(*p);
+            // Not below the origin: cutting off the fraction is the floor.
+            let g = (uv - origin) / cell;
             let at = g.x as usize + n[0] * g.y as usize;
-            let q = DVec3::new(plane.across(*p).x, plane.across(*p).y, plane.height(*p));
+            let q = uv.extend(plane.height(*p));
             if top[at].is_none_or(|t| t.z < q.z) {
                 top[at] = Some(q);
             }
@@ -67,10 +72,17 @@ impl Skyline {
 
     /// A point inside the tool that stands with its tip on `tip`, when the tool is shrunk by `side`
     /// (mm) inward and the points are lowered by `down` (negative: grown, raised); none when it is
-    /// free.
-    pub fn touched(&self, tool: &Tool, tip: DVec3, side: f64, down: f64) -> Option<DVec3> {
+    /// free. `stack` may hold anything.
+    pub fn touched(
+        &self,
+        tool: &Tool,
+        tip: DVec3,
+        [side, down]: [f64; 2],
+        stack: &mut Blocks,
+    ) -> Option<DVec3> {
         let (uv, z) = (self.plane.across(tip), self.plane.height(tip));
-        let mut stack = vec![(self.levels.len() - 1, [0usize; 2])];
+        stack.clear();
+        stack.push((self.levels.len() - 1, [0usize; 2]));
         while let Some((k, c)) = stack.pop() {
             let level = &self.levels[k];
             let top = level.max[c[0] + level.n[0] * c[1]];
@@ -145,7 +157,7 @@ mod tests {
                 let rho = p.truncate().distance(tip.truncate());
                 p.z - 0.3 > tip.z + tool.lower_surface(rho + 0.2)
             });
-            prop_assert_eq!(sky.touched(&tool, tip, 0.2, 0.3).is_some(), plain);
+            prop_assert_eq!(sky.touched(&tool, tip, [0.2, 0.3], &mut Vec::new()).is_some(), plain);
         }
     }
 }

@@ -10,7 +10,7 @@ use super::cells::Cells;
 use super::interpret::{Gait, MOST_FINDINGS, Motion};
 use super::report::{Finding, Rule, StepFigures};
 use super::skyline::Skyline;
-use crate::base::{DVec2, DVec3, ImagePlane};
+use crate::base::{Ctx, DVec2, DVec3, ImagePlane};
 use crate::machine::{Machine, Tool};
 use crate::plan::{Step, StepKind};
 use crate::toolpath::{Leg, motion_s};
@@ -42,8 +42,10 @@ pub(super) struct Scene<'a> {
     pub tolerance: f64,
     /// Line of the step's tool change.
     pub line: usize,
+    pub ctx: &'a Ctx,
 }
 
+/// What is said of a step when the user stopped the run meanwhile is only part of it.
 pub(super) fn judge(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     let mut findings = touches(scene, motions);
     let (mut figures, volume) = match scene.step.kind {
@@ -101,8 +103,10 @@ fn touches(scene: &Scene, motions: &[Motion]) -> Vec<Finding> {
         if let Some(b) = b {
             shell.union_with(&b.boundary());
         }
-        let solid = shell.iter_ones().map(|v| scene.frame.center(v)).collect::<Vec<_>>();
-        [solid.as_slice(), scene.fixed].concat()
+        let mut all = Vec::with_capacity(shell.count() + scene.fixed.len());
+        all.extend(shell.iter_ones().map(|v| scene.frame.center(v)));
+        all.extend(scene.fixed);
+        all
     };
     let anchor = scene.frame.center([0; 3]);
     let stays = match scene.step.kind {
@@ -119,18 +123,25 @@ fn touches(scene: &Scene, motions: &[Motion]) -> Vec<Finding> {
         StepKind::Subtractive => (scene.tolerance - h / 2.0) * std::f64::consts::FRAC_1_SQRT_2,
         StepKind::Additive => h * 3f64.sqrt(),
     };
-    for m in motions {
+    // Where the last move at feed ended without touching: the next begins there.
+    let mut clear: Option<DVec3> = None;
+    let mut blocks = Vec::new();
+    for m in motions.iter().take_while(|_| scene.ctx.check().is_ok()) {
         if m.gait == Gait::Rapid {
+            clear = None;
             if leaves_straight(&plane, m) {
                 continue;
             }
-            let touch = |p| whole.touched(scene.tool, p, 0.0, WRITTEN_MM);
+            let touch = |p| whole.touched(scene.tool, p, [0.0, WRITTEN_MM], &mut blocks);
             if let Some(o) = samples(m, h).find_map(touch) {
                 rapid.tell(m.line, format!("a rapid runs the tool into ({o:.2})"));
             }
         } else {
-            let touch = |p| stays.touched(scene.tool, p, slack, slack);
-            if let Some(o) = samples(m, h / 2.0).find_map(touch) {
+            let touch = |p| stays.touched(scene.tool, p, [slack; 2], &mut blocks);
+            let begun = usize::from(m.from.is_some() && m.from == clear);
+            let found = samples(m, h / 2.0).skip(begun).find_map(touch);
+            clear = found.is_none().then_some(m.to);
+            if let Some(o) = found {
                 let message = format!("the tool enters ({o:.2}) more than {slack:.2} mm deep");
                 gouge.tell(m.line, message);
             }
@@ -167,7 +178,7 @@ fn has_room(scene: &Scene, tip: DVec3) -> bool {
     (0..8).any(|k| {
         let (sin, cos) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
         let aside = tip + (plane.u * cos + plane.v * sin) * (2.0 * h);
-        sky.touched(scene.tool, aside, -off, -off).is_none()
+        sky.touched(scene.tool, aside, [-off; 2], &mut Vec::new()).is_none()
     })
 }
 
@@ -237,7 +248,8 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     let mut lowest = Lowest::over(lo - margin, hi + margin, h / 2.0, plane);
     let over = footprint(&lowest.cells, plane, &centers, radius + 2.0 * h);
     let mut astray = Told::new(Rule::Astray);
-    for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
+    let goes_on = || scene.ctx.check().is_ok();
+    for m in motions.iter().filter(|m| m.gait == Gait::Feed).take_while(|_| goes_on()) {
         figures.working_mm += m.from.map_or(0.0, |f| f.distance(m.to));
         let mut away = None;
         for p in samples(m, h / 2.0) {
@@ -319,7 +331,8 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
         .collect();
     let flat = tool.active_lower_surface(radius / 2.0) < FLAT_MM;
     let mut told = Told::new(Rule::Engagement);
-    for m in motions.iter().filter(|m| m.gait == Gait::Feed) {
+    let goes_on = || scene.ctx.check().is_ok();
+    for m in motions.iter().filter(|m| m.gait == Gait::Feed).take_while(|_| goes_on()) {
         if flat && m.from.is_some_and(|from| sinks_straight(&plane, from, m.to)) {
             let (uv, z) = (plane.across(m.to), plane.height(m.to));
             let deep = |(i, j, lower): &&(i64, i64, f64)| {
