@@ -9,7 +9,7 @@ use super::pipeline;
 use super::{progress, summary};
 use hmplan::base::{Ctx, DAffine3, DVec3};
 use hmplan::machine::{Holding, Taken, Tool};
-use hmplan::mesh::{TriMesh, write_stl};
+use hmplan::mesh::TriMesh;
 use hmplan::plan::{
     Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Seconds, StepKind, Summary,
     end_state,
@@ -18,7 +18,7 @@ use hmplan::planner::reman;
 use hmplan::planner::setup::Candidate;
 use hmplan::report;
 use hmplan::verify::verify;
-use hmplan::voxel::{BitGrid, surface};
+use hmplan::voxel::{BitGrid, Skin};
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 use std::path::Path;
@@ -366,6 +366,10 @@ fn prepare(
 const MOST_STATES: usize = 200;
 const MOST_STATE_VOXELS: usize = 1 << 29;
 
+/// States of which each begins with the surface of the one before: the more, the fewer surfaces
+/// are made whole, and the fewer threads have work.
+const STATES_RUN: usize = 6;
+
 /// Writes a file whole: to a sibling first, then renamed.
 fn write_beside(
     path: &Path,
@@ -382,14 +386,6 @@ fn write_beside(
 
 /// The workpiece after each step, and what was reused, removed and added in all.
 fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Result<(), Failure> {
-    let mesh = |(name, grid): &(String, BitGrid)| -> Result<(), Failure> {
-        ctx.check()?;
-        let surface = surface(grid, &job.frame)
-            .map_err(|e| Failure::Io(format!("the surface of {name} cannot be made ({e})")))?;
-        draft.write(&format!("{}/{name}.stl", output::STATES), |out| write_stl(&surface, out))?;
-        ctx.advance(1);
-        Ok(())
-    };
     let most = (MOST_STATE_VOXELS / job.frame.voxel_count().max(1)).clamp(1, MOST_STATES);
     let stride = plan.steps.len().div_ceil(most).max(1);
     let mut state = job.initial.clone();
@@ -412,9 +408,25 @@ fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Res
     }
     let end = end_state(job, plan);
     let totals = [("reused", end.reused), ("removed", end.removed), ("added", end.added)];
-    shown.extend(totals.map(|(name, grid)| (name.into(), grid)));
-    ctx.begin("writing states", shown.len() as u64);
-    shown.par_iter().try_for_each(mesh)?;
+    let totals = totals.map(|(name, grid)| (String::from(name), grid));
+    let write = |run: &[(String, BitGrid)]| -> Result<(), Failure> {
+        let mut last: Option<Skin> = None;
+        for (name, grid) in run {
+            ctx.check()?;
+            let skin = match &last {
+                Some(skin) => skin.patched(grid, &job.frame),
+                None => Skin::of(grid, &job.frame),
+            };
+            let skin = skin
+                .map_err(|e| Failure::Io(format!("the surface of {name} cannot be made ({e})")))?;
+            draft.write(&format!("{}/{name}.stl", output::STATES), |out| skin.write_stl(out))?;
+            last = Some(skin);
+            ctx.advance(1);
+        }
+        Ok(())
+    };
+    ctx.begin("writing states", (shown.len() + totals.len()) as u64);
+    shown.par_chunks(STATES_RUN).chain(totals.par_chunks(1)).try_for_each(write)?;
     ctx.end();
     Ok(())
 }

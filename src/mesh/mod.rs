@@ -63,4 +63,4 @@ pub use health::Health;
 pub use nearest::{NearestTriangle, SurfacePoint, closest_on_triangle};
 pub use read::{Format, LoadedMesh, ReadOptions, read};
 pub use tri::{InvalidMesh, TriMesh};
-pub use write::{write_obj, write_stl};
+pub use write::{STL_FACET, stl_facet, write_obj, write_stl, write_stl_head};

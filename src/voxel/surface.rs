@@ -4,7 +4,8 @@
 //! surface pass it. Every face between a solid and an empty voxel becomes a quad between its four
 //! corners. Where four faces meet at an edge, the two of each solid voxel belong together, so
 //! voxels that touch only along an edge or at a corner come apart. Taubin's λ|μ smoothing (1995),
-//! which keeps volume, then moves each vertex within half a voxel of its corner.
+//! which keeps volume, then moves each vertex within half a voxel of its corner. A part of a surface
+//! is made the same way from a part of the voxels.
 //!
 //! Guarantees, for every voxel set: every directed edge is matched by exactly one opposite edge,
 //! so the surface is a closed 2-manifold, counter-clockwise seen from outside; deterministic.
@@ -15,6 +16,7 @@ use super::{BitGrid, Frame};
 use crate::base::DVec3;
 use crate::mesh::{InvalidMesh, TriMesh};
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// Taubin's pair of factors: shrink by the first, grow back by the second; −1/μ must exceed 1/λ by
@@ -35,11 +37,59 @@ const FARTHEST: f64 = 0.5;
 /// # Errors
 /// [`InvalidMesh`] when the frame puts the surface farther out than a mesh may be.
 pub fn surface(grid: &BitGrid, frame: &Frame) -> Result<TriMesh, InvalidMesh> {
-    let mut net = Net::of(grid);
+    Ok(smooth_net(grid, frame, None)?.0)
+}
+
+/// The smooth surface with the net that it was made of. With a scope: of its voxels alone, a rim
+/// around it is not the surface's.
+pub(super) fn smooth_net(
+    grid: &BitGrid,
+    frame: &Frame,
+    scope: Option<&Scope>,
+) -> Result<(TriMesh, Net), InvalidMesh> {
+    let mut net = Net::of(grid, scope);
     net.smooth();
     let triangles = net.triangles();
     let points = net.points.iter().map(|p| frame.origin + *p * frame.pitch).collect();
-    TriMesh::new(points, triangles)
+    Ok((TriMesh::new(points, triangles)?, net))
+}
+
+/// How far from a facet's voxel another one may be that moves its corners, in voxels along an axis:
+/// each step of smoothing takes a neighbour of a neighbour into account.
+pub(super) const SMOOTHING_REACH: usize = 2 * ROUNDS + 2;
+
+/// Some of a grid's voxels, in blocks.
+pub(super) struct Scope {
+    /// Which blocks of [`Scope::BLOCK`] voxels along each axis.
+    pub blocks: BitGrid,
+    /// Bits of the voxels in a row, block row by block row.
+    words: Vec<u64>,
+    per_row: usize,
+}
+
+impl Scope {
+    /// A quarter of a word, and no less than [`SMOOTHING_REACH`].
+    pub const BLOCK: usize = 16;
+
+    /// How many blocks hold a grid.
+    pub fn counts(dims: [usize; 3]) -> [usize; 3] {
+        dims.map(|n| n.div_ceil(Scope::BLOCK))
+    }
+
+    pub fn of(blocks: BitGrid, grid: &BitGrid) -> Scope {
+        let (per_row, [nx, ny, nz]) = (grid.words_per_row(), blocks.dims());
+        let mut words = vec![0; per_row * ny * nz];
+        for [x, y, z] in blocks.iter_ones().filter(|v| v[0] < nx) {
+            let at = x * Scope::BLOCK;
+            words[at / 64 + per_row * (y + ny * z)] |= 0xffff << (at % 64);
+        }
+        Scope { blocks, words, per_row }
+    }
+
+    fn row(&self, y: usize, z: usize) -> &[u64] {
+        let row = y / Scope::BLOCK + self.blocks.dims()[1] * (z / Scope::BLOCK);
+        &self.words[row * self.per_row..(row + 1) * self.per_row]
+    }
 }
 
 /// Face number of a pair of neighbouring voxels around a corner: bits of the lower one, without
@@ -120,30 +170,45 @@ struct Corner {
 /// Names a lattice edge as one of the solid voxels beside it sees it: voxel, axis, side bits.
 type SeenEdge = ([usize; 3], usize, [usize; 3]);
 
-struct Net {
+#[derive(Default)]
+pub(super) struct Net {
     /// Grid coordinates; vertices that come with quads first, then those that split edges.
     points: Vec<DVec3>,
     quads: Vec<[u32; 4]>,
+    /// The first quad of each row of voxels in a block, with the first of these.
+    pub owners: Vec<([usize; 3], u32)>,
+    /// The first triangle of each quad, and where the last one's end.
+    pub firsts: Vec<u32>,
     /// The edges of each quad that four faces share and whose two vertices all four share too.
     pinched: BTreeMap<(u32, u8), SeenEdge>,
 }
 
 impl Net {
-    fn of(grid: &BitGrid) -> Net {
+    fn of(grid: &BitGrid, scope: Option<&Scope>) -> Net {
         let [nx, ny, nz] = grid.dims();
         let table: Vec<Sheets> = (0..256).map(Sheets::of).collect();
         let boundary = grid.boundary();
-        let mut net = Net { points: Vec::new(), quads: Vec::new(), pinched: BTreeMap::new() };
+        let mut net = Net::default();
         if boundary.is_empty() {
             return net;
         }
         let blank = vec![Corner::default(); (nx + 1) * (ny + 1)];
         let mut layers = [blank.clone(), blank];
-        net.corners(grid, &table, 0, &mut layers[0]);
+        net.corners(grid, scope, &table, 0, &mut layers[0]);
         for z in 0..nz {
-            net.corners(grid, &table, z + 1, &mut layers[1]);
+            net.corners(grid, scope, &table, z + 1, &mut layers[1]);
             for y in 0..ny {
-                for x in ones(boundary.row(y, z)) {
+                let mut block = None;
+                let row = boundary.row(y, z);
+                let row: Cow<[u64]> = match scope {
+                    None => Cow::Borrowed(row),
+                    Some(s) => row.iter().zip(s.row(y, z)).map(|(a, b)| a & b).collect(),
+                };
+                for x in ones(&row) {
+                    if block != Some(x / Scope::BLOCK) {
+                        block = Some(x / Scope::BLOCK);
+                        net.owners.push(([x, y, z], net.quads.len() as u32));
+                    }
                     net.voxel(grid, &table, &layers, [x, y, z]);
                 }
             }
@@ -152,15 +217,31 @@ impl Net {
         net
     }
 
-    /// Makes the vertices of lattice layer `k`.
-    fn corners(&mut self, grid: &BitGrid, table: &[Sheets], k: usize, layer: &mut [Corner]) {
+    /// Makes the vertices of lattice layer `k`, with a scope those of its voxels.
+    fn corners(
+        &mut self,
+        grid: &BitGrid,
+        scope: Option<&Scope>,
+        table: &[Sheets],
+        k: usize,
+        layer: &mut [Corner],
+    ) {
         let [nx, ny, nz] = grid.dims();
         let empty = vec![0u64; grid.words_per_row()];
+        let all = vec![!0u64; grid.words_per_row()];
         for j in 0..=ny {
             // Rows beside the corner row, by (dy, dz) bits.
             let rows: [&[u64]; 4] = std::array::from_fn(|b| {
                 let (y, z) = ((j + (b & 1)).wrapping_sub(1), (k + (b >> 1)).wrapping_sub(1));
                 if y < ny && z < nz { grid.row(y, z) } else { &empty[..] }
+            });
+            let wanted: [&[u64]; 4] = std::array::from_fn(|b| {
+                let (y, z) = ((j + (b & 1)).wrapping_sub(1), (k + (b >> 1)).wrapping_sub(1));
+                match scope {
+                    None => &all[..],
+                    Some(s) if y < ny && z < nz => s.row(y, z),
+                    Some(_) => &empty[..],
+                }
             });
             let line = &mut layer[j * (nx + 1)..(j + 1) * (nx + 1)];
             line.fill(Corner::default());
@@ -169,13 +250,16 @@ impl Net {
                 let word = |r: &[u64], w: usize| r.get(w).copied().unwrap_or(0);
                 let before = |r: &[u64], w: usize| w.checked_sub(1).map_or(0, |w| word(r, w) >> 63);
                 // Bit i: voxel i, and voxel i − 1, of any and of all four rows.
-                let (mut any, mut all) = (0, !0);
+                let (mut any, mut all, mut own) = (0, !0, 0);
+                for r in wanted {
+                    own |= word(r, w) | word(r, w) << 1 | before(r, w);
+                }
                 for r in rows {
                     let shifted = word(r, w) << 1 | before(r, w);
                     any |= word(r, w) | shifted;
                     all &= word(r, w) & shifted;
                 }
-                for bit in ones(&[any & !all]) {
+                for bit in ones(&[any & !all & own]) {
                     let i = w * 64 + bit;
                     if i > nx {
                         break;
@@ -258,6 +342,10 @@ impl Net {
                 .with_min_len(4096)
                 .map(|i| {
                     let around = &neighbours[start[i]..start[i + 1]];
+                    // On the rim of a scope.
+                    if around.is_empty() {
+                        return old[i];
+                    }
                     let sum: DVec3 = around.iter().map(|j| old[*j as usize]).sum();
                     let toward = sum / around.len() as f64 - old[i];
                     let limit = DVec3::splat(FARTHEST);
@@ -273,7 +361,9 @@ impl Net {
     fn triangles(&mut self) -> Vec<[u32; 3]> {
         let mut triangles = Vec::with_capacity(2 * self.quads.len());
         let mut splits: BTreeMap<SeenEdge, u32> = BTreeMap::new();
+        self.firsts = Vec::with_capacity(self.quads.len() + 1);
         for (i, q) in self.quads.iter().enumerate() {
+            self.firsts.push(triangles.len() as u32);
             let i = i as u32;
             let rim: Vec<Option<SeenEdge>> =
                 (0..4).map(|side| self.pinched.get(&(i, side)).copied()).collect();
@@ -303,6 +393,7 @@ impl Net {
                 }
             }
         }
+        self.firsts.push(triangles.len() as u32);
         triangles
     }
 }
@@ -387,7 +478,7 @@ mod tests {
     fn check(g: &BitGrid) -> Result<(), String> {
         let m = surface(g, &unit(g.dims())).unwrap();
         check_manifold(&m)?;
-        let mut net = Net::of(g);
+        let mut net = Net::of(g, None);
         let triangles = net.triangles();
         let raw = TriMesh::new(net.points, triangles).unwrap();
         check_manifold(&raw)?;
@@ -414,7 +505,7 @@ mod tests {
                 if z == 1 { x == y } else { pattern >> (x + 2 * y + 2 * z) & 1 == 1 }
             });
             check(&g).unwrap_or_else(|e| panic!("{pattern:08b}: {e}"));
-            split += Net::of(&g).pinched.len();
+            split += Net::of(&g, None).pinched.len();
         }
         assert!(split > 0, "the case this is about never came up");
     }
