@@ -8,6 +8,7 @@
 
 use super::bridges::bridges;
 use super::coarse::Coarse;
+use super::reach::{Bound, Reach, choose, gains};
 use super::setting::Setting;
 use crate::access::{Cut, Scene, cutter_maps, over_cut, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
@@ -23,17 +24,6 @@ pub struct Cutting {
     pub state: BitGrid,
     pub unreached: BitGrid,
 }
-
-/// A direction with a tool and the deep material it could reach at best.
-struct Reach<'a> {
-    direction: Direction,
-    tool: &'a Tool,
-    bound: BitGrid,
-}
-
-/// A shorter tool is taken when it reaches this share of what the best tool reaches; the rest is
-/// left to a later block. Lower means more tool changes, higher means longer tools everywhere.
-const SHORTER_TOOL_SHARE: f64 = 0.97;
 
 /// A block chosen on the coarse grid removes at least this share of the deep material: below it
 /// the coarse look misjudges, and the fine one that follows chooses better.
@@ -210,7 +200,7 @@ impl<'a> Cutter<'_, 'a> {
                 let directions = setting.sampled(next, samples);
                 let sampled = self.coarse_bounds(&wanted, &fixed, &directions, ctx)?;
                 let mut reached = BitGrid::new(wanted.dims());
-                axes.iter().chain(&sampled).for_each(|r| reached.union_with(&r.bound));
+                axes.iter().chain(&sampled).for_each(|r| r.bound.add_to(&mut reached));
                 later = self.coarse.refined(&reached, setting.job.frame.dims);
                 ahead = Some((axes, sampled));
             }
@@ -249,7 +239,7 @@ impl<'a> Cutter<'_, 'a> {
             .map(|&direction| {
                 ctx.check()?;
                 let maps = cutter_maps(&scene, wanted, cutters, direction);
-                let bound = |map| reachable(map, wanted, frame);
+                let bound = |map| Bound::of(&reachable(map, wanted, frame));
                 let tools = cutters.iter().zip(&maps);
                 Ok(tools.map(|(tool, map)| Reach { direction, tool, bound: bound(map) }).collect())
             })
@@ -278,8 +268,9 @@ impl<'a> Cutter<'_, 'a> {
             .map(|of_direction| {
                 ctx.check()?;
                 let mut doubtful = BitGrid::new(wanted.dims());
+                of_direction.iter().for_each(|r| r.bound.add_to(&mut doubtful));
                 // A coarse bound may be wrong by a coarse voxel.
-                of_direction.iter().for_each(|r| doubtful.union_with(&r.bound.grown()));
+                doubtful = doubtful.grown();
                 doubtful.intersect_with(&wanted);
                 if left.is_empty() || !few && doubtful.is_empty() {
                     return Ok(Vec::new());
@@ -292,7 +283,7 @@ impl<'a> Cutter<'_, 'a> {
                 let maps = cutter_maps(&scene, &near, cutters, direction);
                 let tools = cutters.iter().zip(&maps);
                 let reach = |(tool, map)| {
-                    let bound = reachable(map, &near, frame);
+                    let bound = Bound::of(&reachable(map, &near, frame));
                     Reach { direction, tool, bound }
                 };
                 Ok(tools.map(reach).collect())
@@ -349,8 +340,7 @@ impl<'a> Cutter<'_, 'a> {
             ctx.check()?;
             let left = self.cutting.unreached.minus(later);
             let left = coarse.map_or(left.clone(), |c| c.any(&left));
-            let gains: Vec<usize> = reach.par_iter().map(|r| r.bound.count_and(&left)).collect();
-            let Some(next) = choose(reach, &gains, &barren) else { return Ok(()) };
+            let Some(next) = choose(reach, &gains(reach, &left), &barren) else { return Ok(()) };
             let chosen = &reach[next];
             let rest = self.removable.and(&self.cutting.state).minus(later);
             let region = self.held_cut(rest, fixed, chosen.tool, chosen.direction);
@@ -393,15 +383,4 @@ impl<'a> Cutter<'_, 'a> {
             origin: Origin { plane: None, action: Some(Action::OC) },
         });
     }
-}
-
-/// The direction with the largest gain, and for it the first tool (they come shortest first) that
-/// reaches nearly as much as the best.
-fn choose(reach: &[Reach], gains: &[usize], barren: &[usize]) -> Option<usize> {
-    let open = |i: &usize| gains[*i] > 0 && !barren.contains(i);
-    let best = (0..reach.len()).filter(open).max_by_key(|&i| (gains[i], std::cmp::Reverse(i)))?;
-    let enough = SHORTER_TOOL_SHARE * gains[best] as f64;
-    (0..reach.len())
-        .filter(open)
-        .find(|&i| reach[i].direction == reach[best].direction && gains[i] as f64 >= enough)
 }

@@ -60,7 +60,7 @@ pub fn most_promising<'n>(
     let mut best: Option<((u8, usize), Promise)> = None;
     for cover in covers {
         let clips = cover.planes.iter().map(|p| Clip::global(*p)).collect();
-        let how = (*options, Mending::None);
+        let how = (*options, Mending::Glance);
         let made = attempt(&setting, &look, clips, &start.preferred, how, ctx)?;
         let rank = made.rank(&job);
         tracing::debug!(keeps_base = cover.admissible.keeps_base, ?rank, "cover");

@@ -271,6 +271,7 @@ impl Start<'_> {
             core: &added.minus(&skin),
             preferred: &preferred,
             samples: options.directions,
+            at_a_glance: false,
         };
         let printing = match on {
             Some(on) => print_on_supports(setting, self.coarse, &wanted, on, ctx)?,

@@ -61,6 +61,7 @@ mod local;
 mod local_tests;
 mod locals;
 mod printing;
+mod reach;
 mod reasons;
 mod refine;
 mod round;

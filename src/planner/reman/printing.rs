@@ -42,6 +42,8 @@ pub struct Wanted<'w> {
     pub preferred: &'w [Direction],
     /// Sampled directions per hemisphere.
     pub samples: usize,
+    /// Whether to stop where blocks lay little of much that is left.
+    pub at_a_glance: bool,
 }
 
 /// A part of what is wanted that is left free until the rest is printed, then printed along one
@@ -67,6 +69,10 @@ const LEAST_MM3: f64 = 2.0;
 /// later. Found on small parts: with 0.6 the beads of such a block lie half on each other, with 1 too
 /// few creases get one.
 const LEAST_AHEAD_MM3: f64 = 0.8;
+
+/// A block that lays less than this share of what is left is little of it: half a dozen more
+/// like it would leave half.
+const LITTLE_SHARE: f64 = 0.1;
 
 /// Ways that are looked at closely after the coarse ranking, of the preferred and of the sampled
 /// ones: more costs time, fewer trusts a staircase of coarse voxels too much.
@@ -201,9 +207,19 @@ impl<'a> Press<'_, 'a> {
                 best = fine.best(&fine.clearest(&all, ctx)?, ctx)?;
             }
             let Some(block) = best.filter(|b| b.gain >= self.least) else { return Ok(()) };
+            if self.wanted.at_a_glance && self.is_endless(left_over, block.gain) {
+                return Ok(());
+            }
             let block = self.fine(&left, &fixed).with_shorter(block, self.shorter);
             self.take(block, left, fixed);
         }
+    }
+
+    /// Whether more is left than the rules allow and blocks like this one hardly change that.
+    fn is_endless(&self, left_over: usize, gain: usize) -> bool {
+        let job = self.setting.job;
+        let allowed = job.rules.deviation * job.target.count() as f64;
+        left_over as f64 > allowed + gain as f64 && (gain as f64) < LITTLE_SHARE * left_over as f64
     }
 
     /// Small blocks among what is to be printed before all else.

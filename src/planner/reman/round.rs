@@ -116,12 +116,15 @@ fn ranked(job: &Job, reused: usize, left: usize) -> (u8, usize) {
 }
 
 /// How often printing is tried again where it leaves a little.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 pub enum Mending {
     /// As long as [`MENDING_VOXELS`] allow.
     Some,
     /// Never: for a look at what planes are worth.
     None,
+    /// Nor are small blocks made where more is left than the rules allow: for a look at which of
+    /// several choices of planes is the best.
+    Glance,
 }
 
 impl Start<'_> {
@@ -167,6 +170,7 @@ pub fn attempt(
         core: &added.minus(&skin),
         preferred: &along,
         samples: options.directions,
+        at_a_glance: mending == Mending::Glance,
     };
     let printing = printed(setting, coarse, &wanted, mending, ctx)?;
     let deficit = printing.unreached.minus(&skin);
@@ -198,7 +202,7 @@ pub fn printed(
     let most = (MENDABLE_SHARE * setting.job.target.count() as f64) as usize;
     let most_voxels = match mending {
         Mending::Some => MENDING_VOXELS,
-        Mending::None => 0,
+        Mending::None | Mending::Glance => 0,
     };
     let mut tries = most_voxels / wanted.core.count().max(1);
     'mending: while (1..=most).contains(&left(&best)) {

@@ -1,0 +1,99 @@
+//! What directions and tools could reach at best, and which of them comes next.
+
+use crate::base::Direction;
+use crate::machine::Tool;
+use crate::voxel::BitGrid;
+use rayon::prelude::*;
+
+/// A shorter tool is taken when it reaches this share of what the best tool reaches; the rest is
+/// left to a later block. Lower means more tool changes, higher means longer tools everywhere.
+const SHORTER_TOOL_SHARE: f64 = 0.97;
+
+/// A direction with a tool and the deep material it could reach at best.
+pub struct Reach<'a> {
+    pub direction: Direction,
+    pub tool: &'a Tool,
+    pub bound: Bound,
+}
+
+/// A set of voxels, mostly few, of which hundreds are kept: the words of a grid that have any.
+pub struct Bound {
+    words: Vec<(u32, u64)>,
+}
+
+impl Bound {
+    pub fn of(grid: &BitGrid) -> Bound {
+        let all = grid.words();
+        let words = all.iter().zip(0..).filter(|(word, _)| **word != 0);
+        Bound { words: words.map(|(word, i)| (i, *word)).collect() }
+    }
+
+    /// Voxels of it that a grid has too, whose words these are.
+    fn count_and(&self, grid: &[u64]) -> usize {
+        let both = |(i, word): &(u32, u64)| word & grid.get(*i as usize).copied().unwrap_or(0);
+        self.words.iter().map(|w| both(w).count_ones() as usize).sum()
+    }
+
+    /// Adds them to a grid.
+    pub fn add_to(&self, grid: &mut BitGrid) {
+        let (per_row, ny) = (grid.words_per_row().max(1), grid.dims()[1].max(1));
+        for (i, word) in &self.words {
+            let row = *i as usize / per_row;
+            grid.row_mut(row % ny, row / ny)[*i as usize % per_row] |= word;
+        }
+    }
+}
+
+/// Voxels of `left` that each could reach.
+pub fn gains(reach: &[Reach], left: &BitGrid) -> Vec<usize> {
+    let words = left.words();
+    reach.par_iter().map(|r| r.bound.count_and(&words)).collect()
+}
+
+/// The direction with the largest gain, and for it the first tool (they come shortest first) that
+/// reaches nearly as much as the best.
+pub fn choose(reach: &[Reach], gains: &[usize], barren: &[usize]) -> Option<usize> {
+    let open = |i: &usize| gains[*i] > 0 && !barren.contains(i);
+    let best = (0..reach.len()).filter(open).max_by_key(|&i| (gains[i], std::cmp::Reverse(i)))?;
+    let enough = SHORTER_TOOL_SHARE * gains[best] as f64;
+    (0..reach.len())
+        .filter(open)
+        .find(|&i| reach[i].direction == reach[best].direction && gains[i] as f64 >= enough)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bound_is_the_set_it_was_made_of() {
+        let grid = |n: usize| {
+            BitGrid::from_fn([70, 9, 11], |[x, y, z]| (x * 7 + y * 13 + z * 29) % n == 0 && y != 5)
+        };
+        let (a, b) = (grid(23), grid(4));
+        let bound = Bound::of(&a);
+        assert_eq!(bound.count_and(&b.words()), a.count_and(&b));
+        let mut sum = b.clone();
+        bound.add_to(&mut sum);
+        assert_eq!(sum, a.or(&b));
+        assert!(Bound::of(&BitGrid::new([70, 9, 11])).words.is_empty());
+    }
+
+    #[test]
+    fn the_shortest_tool_that_reaches_nearly_as_much_is_taken() {
+        let tools = ["ball-3x13", "ball-3x30"].map(|n| {
+            let of = crate::machine::Machine::builtin("mx220").unwrap();
+            of.tools.iter().find(|t| t.name == n).unwrap().clone()
+        });
+        let along = |direction, tool| Reach { direction, tool, bound: Bound { words: Vec::new() } };
+        let reach = [
+            along(Direction::Z, &tools[0]),
+            along(Direction::Z, &tools[1]),
+            along(Direction::X, &tools[0]),
+        ];
+        assert_eq!(choose(&reach, &[98, 100, 99], &[]), Some(0));
+        assert_eq!(choose(&reach, &[90, 100, 99], &[]), Some(1));
+        assert_eq!(choose(&reach, &[90, 100, 99], &[1]), Some(2));
+        assert_eq!(choose(&reach, &[0, 0, 0], &[]), None);
+    }
+}
