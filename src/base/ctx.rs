@@ -51,6 +51,11 @@ impl Ctx {
         Ctx::new(Arc::new(AtomicBool::new(false)), None, Arc::new(Silent), 0)
     }
 
+    /// The same for work beside a stage that shows its progress.
+    pub fn without_progress(&self) -> Self {
+        Ctx { progress: Arc::new(Silent), ..self.clone() }
+    }
+
     /// Err once the user has asked to stop.
     pub fn check(&self) -> Result<(), Cancelled> {
         if self.cancel.load(Ordering::Relaxed) { Err(Cancelled) } else { Ok(()) }

@@ -63,18 +63,26 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     figures.notes.splice(0..0, notes);
     figures.notes.extend(inputs::below_base(&job));
     let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
-    let posted = if config.nullify.is_some() {
+    let posts = config.nullify.is_none() && (verdict.passed() || config.post_unverified);
+    if config.nullify.is_some() {
         figures.notes.push(
             "No program was written: the tools of planner nullify are half-spaces, no machine's."
                 .into(),
         );
-        pipeline::Posted::default()
-    } else if verdict.passed() || config.post_unverified {
-        clock.time("toolpaths", || pipeline::post(&job, &verdict, config.post_unverified, &ctx))?
-    } else {
+    } else if !posts {
         figures.notes.push("No program was written, since the plan does not verify.".into());
-        pipeline::Posted::default()
+    }
+    let post = || match posts {
+        true => pipeline::post(&job, &verdict, config.post_unverified, &ctx),
+        false => Ok(pipeline::Posted::default()),
     };
+    // The states hang on the plan alone, and neither keeps all threads busy all the time.
+    let draft = destination.begin()?;
+    let aside = ctx.without_progress();
+    let states = || write_states(&draft, &job, &verdict.plan, &aside);
+    let (posted, states) = clock.time("toolpaths", || rayon::join(post, states));
+    let posted = posted?;
+    states?;
 
     let plan = &verdict.plan;
     let deviation = match &posted.text {
@@ -115,8 +123,6 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     ctx.check()?;
     let page = report::page(&file, &job, plan, &rules)
         .map_err(|e| Failure::Io(format!("the report cannot be made ({e:#})")))?;
-    let draft = destination.begin()?;
-    write_states(&draft, &job, plan, &ctx)?;
     draft.write(output::REPORT, |out| out.write_all(page.as_bytes()))?;
     if let Some(text) = &posted.text {
         draft.write(output::PROGRAM, |out| out.write_all(text.as_bytes()))?;
@@ -421,14 +427,10 @@ fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Res
                 .map_err(|e| Failure::Io(format!("the surface of {name} cannot be made ({e})")))?;
             draft.write(&format!("{}/{name}.stl", output::STATES), |out| skin.write_stl(out))?;
             last = Some(skin);
-            ctx.advance(1);
         }
         Ok(())
     };
-    ctx.begin("writing states", (shown.len() + totals.len()) as u64);
-    shown.par_chunks(STATES_RUN).chain(totals.par_chunks(1)).try_for_each(write)?;
-    ctx.end();
-    Ok(())
+    shown.par_chunks(STATES_RUN).chain(totals.par_chunks(1)).try_for_each(write)
 }
 
 /// SHA-256 as lower-case hexadecimal.

@@ -209,7 +209,9 @@ impl<'a> Cutter<'_, 'a> {
                 continue;
             }
             let all: Vec<Reach> = axes.into_iter().chain(samples_here).collect();
-            let fine = self.fine_bounds(&all, &fixed, &later, ctx)?;
+            // What no coarse bound is near is looked for last of all, when nothing else stands.
+            let few = if holding + 1 < setting.holdings.len() { 0 } else { FEW };
+            let fine = self.fine_bounds(&all, &fixed, &later, few, ctx)?;
             self.take(&fine, holding, &fixed, None, &later, ctx)?;
             past.push(all);
         }
@@ -217,7 +219,7 @@ impl<'a> Cutter<'_, 'a> {
         let none = BitGrid::new(setting.job.frame.dims);
         for holding in (0..past.len().saturating_sub(1)).rev() {
             let fixed = setting.fixed(holding, &self.cutting.state);
-            let fine = self.fine_bounds(&past[holding], &fixed, &none, ctx)?;
+            let fine = self.fine_bounds(&past[holding], &fixed, &none, FEW, ctx)?;
             self.take(&fine, holding, &fixed, None, &none, ctx)?;
         }
         Ok(())
@@ -247,20 +249,21 @@ impl<'a> Cutter<'_, 'a> {
         Ok(reach.into_iter().flatten().collect())
     }
 
-    /// Upper bounds on the job's own grid, for what is left near each coarse bound; of a few voxels
-    /// for all.
+    /// Upper bounds on the job's own grid, for what is left near each coarse bound; of up to `few`
+    /// voxels for all.
     fn fine_bounds(
         &self,
         coarse: &[Reach<'a>],
         fixed: &[DVec3],
         later: &BitGrid,
+        few: usize,
         ctx: &Ctx,
     ) -> Result<Vec<Reach<'a>>, Cancelled> {
         let frame = &self.setting.job.frame;
         let scene = Scene::new(frame, &self.fine_kept, fixed);
         let left = &self.cutting.unreached.minus(later);
         let wanted = self.coarse.any(left);
-        let few = left.count() <= FEW;
+        let few = left.count() <= few;
         let cutters = self.cutters;
         // The bounds of one direction stand together, one a tool.
         let fine: Vec<Vec<Reach<'a>>> = coarse
