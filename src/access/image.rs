@@ -7,6 +7,7 @@
 use super::Scene;
 use super::cells::Cells;
 use super::filter::Spans;
+use super::floors::Floors;
 use super::lattice::Lattice;
 use super::tops::{NONE, axis_of, tops, voxel};
 use crate::base::{DVec2, DVec3, ImagePlane};
@@ -17,13 +18,18 @@ pub type DepthImage = (usize, Lattice, Cells);
 
 /// Puts every obstacle point of a scene that stands at `least` mm or higher into the first image that
 /// has a cell for it (each is wider than those before) and what these hold into the coarser ones;
-/// the height of the highest point.
-pub fn splat(scene: &Scene, plane: &ImagePlane, least: f64, images: &mut [DepthImage]) -> f64 {
+/// the height of the highest point. Points below `floors` may be left out.
+pub fn splat(
+    scene: &Scene,
+    plane: &ImagePlane,
+    (least, floors): (f64, Option<&Floors>),
+    images: &mut [DepthImage],
+) -> f64 {
     let of_voxels = match axis_of(plane.d) {
         Some(along) => splat_columns(scene, plane, least, images, along),
         None => Arch::new().dispatch(SplatVoxels { scene, plane, least, images }),
     };
-    let fixed = SplatFixed { scene, plane, least, images };
+    let fixed = SplatFixed { scene, plane, least, floors, images };
     let highest = of_voxels.max(Arch::new().dispatch(fixed));
     for i in 1..images.len() {
         let (finer, coarser) = images.split_at_mut(i);
@@ -57,6 +63,7 @@ struct SplatFixed<'a> {
     scene: &'a Scene,
     plane: &'a ImagePlane,
     least: f64,
+    floors: Option<&'a Floors>,
     images: &'a mut [DepthImage],
 }
 
@@ -65,7 +72,7 @@ impl NullaryFnOnce for SplatFixed<'_> {
 
     #[inline(always)]
     fn call(self) -> f64 {
-        let SplatFixed { scene, plane, least, images } = self;
+        let SplatFixed { scene, plane, least, floors, images } = self;
         let plane = *plane;
         let [u, v, d] = [plane.u, plane.v, plane.d].map(DVec3::abs);
         let mut highest = f64::MIN;
@@ -74,7 +81,9 @@ impl NullaryFnOnce for SplatFixed<'_> {
             let top = plane.height(middle) + d.dot(half) + ROUNDING_MM;
             let spread = DVec2::new(u.dot(half), v.dot(half));
             let widest = images.last().map(|(_, widest, _)| widest);
-            let is_seen = widest.is_some_and(|w| w.may_hold(plane.across(middle), spread));
+            let at = plane.across(middle);
+            let is_seen = widest.is_some_and(|w| w.may_hold(at, spread))
+                && floors.is_none_or(|f| f.may_matter(at, spread, top));
             if top <= highest && (top < least || !is_seen) {
                 continue;
             }

@@ -26,6 +26,7 @@ mod columns;
 mod depend;
 mod depth;
 mod filter;
+mod floors;
 mod image;
 mod lattice;
 mod mesh_tool;

@@ -13,7 +13,7 @@ pub struct Scene {
 }
 
 /// Fixed points that are passed over together. Fewer fit closer, more are passed over faster.
-const GROUP: usize = 64;
+const GROUP: usize = 32;
 
 impl Scene {
     pub fn new(frame: &Frame, state: &BitGrid, fixed: &[DVec3]) -> Scene {

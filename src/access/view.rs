@@ -8,10 +8,11 @@ use super::Scene;
 use super::ceilings::Ceilings;
 use super::cells::Cells;
 use super::filter::{Image, Kernel, Op, Spans, filter};
+use super::floors::Floors;
 use super::image::{DepthImage, splat, spread};
 use super::lattice::{Lattice, corners};
 use super::tops::{NONE, axis_of, tops, voxel};
-use crate::base::{Aabb, DVec3, Direction, ImagePlane};
+use crate::base::{Aabb, DVec2, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
 use crate::voxel::{BitGrid, Frame};
 use std::borrow::Cow;
@@ -32,6 +33,9 @@ pub(super) fn rounding_cells(direction: Direction) -> f64 {
     if direction.is_grid_axis() { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 }
 }
 
+/// Voxels asked for up to which floors are made: of more they take longer than they save.
+const FLOOR_VOXELS: usize = 20_000;
+
 /// Margin in mm below which a point stands surely lower than what a verdict looks at: far above
 /// the rounding of f32 heights, far below a voxel.
 const LOWER_MM: f64 = 0.01;
@@ -50,6 +54,10 @@ pub(super) struct View<'a> {
     /// Obstacle points that stand lower, mm, have no say: a voxel x is refused for o_z − f > x_z − k,
     /// f is nowhere negative, and no x is asked for below.
     least: f64,
+    /// The largest k of the tools, mm.
+    deepest: f64,
+    /// The same as `least` place by place, where few voxels are asked for.
+    floors: Option<Floors>,
     /// Depth images by pooling, each wide enough for every section treated on it.
     images: Vec<DepthImage>,
     /// Height of the highest obstacle point, mm, once they were looked at.
@@ -95,6 +103,8 @@ impl<'a> View<'a> {
             spacing: spacing(&scene.frame, direction),
             margin,
             least: lowest - deepest - LOWER_MM,
+            deepest,
+            floors: None,
             images: Vec::new(),
             highest: None,
         }
@@ -172,7 +182,8 @@ impl<'a> View<'a> {
                 (pool, lattice, Cells::filled(lattice.nu * lattice.nv, f32::NEG_INFINITY))
             })
             .collect();
-        self.highest = Some(splat(self.scene, &self.plane, self.least, &mut new));
+        self.highest =
+            Some(splat(self.scene, &self.plane, (self.least, self.floors.as_ref()), &mut new));
         self.images.append(&mut new);
     }
 
@@ -189,11 +200,46 @@ impl<'a> View<'a> {
         Some(pool)
     }
 
-    /// [`View::look`] at all that tools ask for.
+    /// [`View::look`] at all that tools ask for, and at nothing that has no say for them.
     pub fn look_for(&mut self, tools: &[Tool]) {
+        let few = self.wanted.filter(|w| w.count() <= FLOOR_VOXELS);
+        if let (Some(few), true) = (few, self.images.is_empty()) {
+            let place = |v| {
+                let centre = self.scene.frame.center(v);
+                (self.plane.across(centre), self.plane.height(centre))
+            };
+            let voxels: Vec<(DVec2, f64)> = few.iter_ones().map(place).collect();
+            self.floors = Some(Floors::of(&voxels, &self.steps(tools)));
+        }
         let sections = tools.iter().flat_map(|t| &t.sections);
         let pools: Vec<usize> = sections.filter_map(|s| self.pool_of(s)).collect();
         self.look(&pools);
+    }
+
+    /// The steps of f for [`Floors`]: how far from a voxel points lie that have a say at a height.
+    fn steps(&self, tools: &[Tool]) -> Vec<(f64, f64)> {
+        let round = |s: &&Section| !matches!(s.shape, Shape::Platform { .. });
+        let mut sections: Vec<&Section> = tools.iter().flat_map(|t| &t.sections).collect();
+        sections.retain(round);
+        sections.sort_by(|a, b| a.shape.max_radius().total_cmp(&b.shape.max_radius()));
+        // Points and tips lie up to a cell's diagonal each from where they are taken to be, the
+        // kernel is as much wider, and cells are looked up along the axes.
+        let slack = |s: &Section| {
+            let cells = 4.0 + 2.0 * SQRT_2 * self.pool_of(s).unwrap_or(1) as f64;
+            cells * self.spacing
+        };
+        let mut steps = Vec::new();
+        let mut inner: f64 = 0.0;
+        for section in &sections {
+            let radius = section.shape.max_radius();
+            let wider = sections.iter().filter(|s| s.shape.max_radius() >= radius);
+            let lowest = |s: &&Section| lower_bound(&s.shape, (inner - slack(s)).max(0.0));
+            let f = wider.map(lowest).fold(f64::INFINITY, f64::min);
+            steps.push((radius + self.margin + slack(section), f - self.deepest - LOWER_MM));
+            inner = radius;
+        }
+        steps.dedup();
+        steps
     }
 
     /// The window in which tips may stand.

@@ -11,7 +11,7 @@ use hmplan::plan::{Job, Plan, PlanFile, Schedule};
 use hmplan::planner::setup::{SetupOptions, SetupReport};
 use hmplan::planner::{PlanError, hybrid, nullify, reman, setup};
 use hmplan::report::{PlannerFigures, RuleLine};
-use hmplan::toolpath::{self, ToolpathError};
+use hmplan::toolpath::{self, ToolpathError, Toolpaths};
 use hmplan::verify::Verdict;
 
 /// What posting gave: the program, the time each step takes (s), and how its check went.
@@ -150,37 +150,55 @@ fn failure(e: PlanError) -> Failure {
     }
 }
 
-/// Paths, program and its check. A program is handed out only when it passes, or when `regardless`
-/// is set; what keeps it back is in the rules.
-pub fn post(job: &Job, verdict: &Verdict, regardless: bool, ctx: &Ctx) -> Result<Posted, Failure> {
-    match attempt(job, verdict, ctx) {
+/// Paths, program and its check; what `aside` gives, which is done beside the program, since that
+/// is written and read line by line. A program is handed out only when it passes, or when
+/// `regardless` is set; what keeps it back is in the rules.
+pub fn post<T: Send>(
+    job: &Job,
+    verdict: &Verdict,
+    regardless: bool,
+    aside: impl FnOnce() -> T + Send,
+    ctx: &Ctx,
+) -> Result<(Posted, T), Failure> {
+    let made = paths(job, verdict, ctx);
+    let (checked, aside) = rayon::join(|| made.and_then(|p| checked(job, verdict, &p, ctx)), aside);
+    let posted = match checked {
         Ok((program, report)) => {
             let fit = report.passed() || regardless;
-            Ok(Posted {
+            Posted {
                 text: fit.then(|| program.text().to_string()),
                 steps: if fit { program.steps() } else { Vec::new() },
                 step_seconds: report.steps.iter().map(|s| s.time_s).collect(),
                 deposited_mm3: report.steps.iter().map(|s| s.deposited_mm3).sum(),
                 removed_mm3: report.steps.iter().map(|s| s.removed_mm3).sum(),
                 rules: program_rules(&report),
-            })
+            }
         }
-        Err(PostError::Paths(ToolpathError::Cancelled(_))) => Err(Failure::Interrupted),
+        Err(PostError::Paths(ToolpathError::Cancelled(_))) => return Err(Failure::Interrupted),
         Err(e) => {
             let rule = RuleLine { rule: "program".into(), passed: false, figure: e.to_string() };
-            Ok(Posted { rules: vec![rule], ..Posted::default() })
+            Posted { rules: vec![rule], ..Posted::default() }
         }
-    }
+    };
+    Ok((posted, aside))
 }
 
-fn attempt(job: &Job, verdict: &Verdict, ctx: &Ctx) -> Result<(Program, CheckReport), PostError> {
-    let plan = &verdict.plan;
-    let paths = match verdict.clone().into_verified() {
+fn paths(job: &Job, verdict: &Verdict, ctx: &Ctx) -> Result<Toolpaths, PostError> {
+    Ok(match verdict.clone().into_verified() {
         Ok(verified) => toolpath::for_plan(job, &verified, ctx)?,
-        Err(_) => toolpath::for_unverified(job, plan, ctx)?,
-    };
-    let program = gcode::post(job, plan, &paths, &plan_digest(job, plan))?;
-    let report = gcode::check(program.text(), job, plan, Some(&paths), ctx)?;
+        Err(_) => toolpath::for_unverified(job, &verdict.plan, ctx)?,
+    })
+}
+
+fn checked(
+    job: &Job,
+    verdict: &Verdict,
+    paths: &Toolpaths,
+    ctx: &Ctx,
+) -> Result<(Program, CheckReport), PostError> {
+    let plan = &verdict.plan;
+    let program = gcode::post(job, plan, paths, &plan_digest(job, plan))?;
+    let report = gcode::check(program.text(), job, plan, Some(paths), ctx)?;
     Ok((program, report))
 }
 

@@ -72,16 +72,15 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     } else if !posts {
         figures.notes.push("No program was written, since the plan does not verify.".into());
     }
-    let post = || match posts {
-        true => pipeline::post(&job, &verdict, config.post_unverified, &ctx),
-        false => Ok(pipeline::Posted::default()),
-    };
-    // The states hang on the plan alone, and neither keeps all threads busy all the time.
     let draft = destination.begin()?;
     let aside = ctx.without_progress();
     let states = || write_states(&draft, &job, &verdict.plan, &aside);
-    let (posted, states) = clock.time("toolpaths", || rayon::join(post, states));
-    let posted = posted?;
+    let (posted, states) = match posts {
+        true => clock.time("toolpaths", || {
+            pipeline::post(&job, &verdict, config.post_unverified, states, &ctx)
+        })?,
+        false => (pipeline::Posted::default(), states()),
+    };
     states?;
 
     let plan = &verdict.plan;
