@@ -64,6 +64,7 @@ mod printing;
 mod reach;
 mod reasons;
 mod refine;
+mod report;
 mod round;
 mod setting;
 mod supports;
@@ -72,10 +73,9 @@ mod supports_tests;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
-use crate::plan::{Job, Plan, Plane, StepKind, end_state};
+use crate::plan::{Job, Plan, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::{PrintingBase, Volumes, printing_bases};
-use crate::voxel::BitGrid;
 pub use hidden::shift_off_hidden;
 
 use candidates::{Admissible, Element};
@@ -85,9 +85,10 @@ use compared::{bottom_up, top_down};
 use global::{choose, global_route, most_promising};
 use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
+use report::Clock;
+pub use report::Report;
 use round::{Attempt, deep, volumes};
 use setting::Setting;
-use std::time::Instant;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -147,29 +148,6 @@ impl Default for Options {
     }
 }
 
-/// What a run tells beside its plan; names as in W2V Tables 1 and 2.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Report {
-    /// B: height of the lowest point of the bases over the base plane, by M's height.
-    pub base_height_ratio: Option<f64>,
-    /// #P_S, #P_A: cells of 2 mm with deep material out of reach while all of V_R^C stands.
-    pub inaccessible_sm: usize,
-    pub inaccessible_am: usize,
-    /// R_I: volume of V_R^C by the target's.
-    pub reuse_initial: f64,
-    /// #C_b.
-    pub planes_global: usize,
-    /// #C_a.
-    pub planes_local: usize,
-    /// Choices of local planes judged.
-    pub judged: usize,
-    /// How good the plan is, to compare it with that of another placement of the target.
-    pub standing: Standing,
-    /// Stage names and wall seconds.
-    pub seconds: Vec<(&'static str, f64)>,
-    pub notes: Vec<String>,
-}
-
 /// Of two plans of the same parts the lesser is the better one: complete before within the rules'
 /// deviation before neither.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
@@ -188,9 +166,6 @@ const MENDABLE_SHARE: f64 = 0.02;
 /// Voxels that the plan under global planes prints, above which no local planes are looked for:
 /// every trial prints about as many again, which takes a minute there.
 const LOCAL_VOXELS: usize = 400_000;
-
-/// Edge in mm of the cells in which inaccessible material is counted (W2V samples every 2 mm).
-const COUNT_CELL_MM: f64 = 2.0;
 
 /// What every route starts from.
 struct Start<'a> {
@@ -351,7 +326,8 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
     if promise.is_hopeless {
         let clips = promise.planes.iter().map(|p| Clip::global(*p)).collect();
         let under = UnderPlanes::of(job, clips);
-        if run.options.supports && under.volumes.added.count() > LOCAL_VOXELS {
+        let waits = run.options.supports && !under.clips.is_empty();
+        if waits && under.volumes.added.count() > LOCAL_VOXELS {
             run.report.tell_planes(job, &promise.planes);
             run.report.notes = promise.notes;
             run.on_supports = on_supports(run, &under)?;
@@ -416,83 +392,4 @@ fn base_height_ratio(job: &Job, bases: &[PrintingBase]) -> Option<f64> {
     let lowest = bases.iter().flat_map(|b| &b.points).map(|p| p.z).reduce(f64::min)?;
     let (_, top) = job.initial.extent()?;
     Some(lowest / (job.frame.center(top).z + job.frame.pitch / 2.0))
-}
-
-impl Report {
-    /// Adds the times of a further round.
-    fn add_seconds(&mut self, further: &Report) {
-        for (stage, seconds) in &further.seconds {
-            match self.seconds.iter_mut().find(|(s, _)| s == stage) {
-                Some(l) => l.1 += seconds,
-                None => self.seconds.push((stage, *seconds)),
-            }
-        }
-    }
-
-    /// Says that so many voxels are printed outside the target.
-    fn note_supports(&mut self, job: &Job, voxels: usize) {
-        if voxels > 0 {
-            self.notes.push(format!(
-                "{:.1} mm³ of supports are printed and cut away again, since without them more is \
-                 left.",
-                voxels as f64 * job.frame.voxel_volume()
-            ));
-        }
-    }
-
-    /// Says that so many printed voxels are too many to look for local planes.
-    fn note_too_large(&mut self, voxels: usize) {
-        self.notes.push(format!(
-            "Local planes were not looked for: the plan prints {voxels} voxels, more than \
-             {LOCAL_VOXELS}; a coarser --resolution looks for them"
-        ));
-    }
-
-    /// R_I and #C_b.
-    fn tell_planes(&mut self, job: &Job, planes: &[Plane]) {
-        let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
-        let initial = volumes(job, &clips).reused.count();
-        self.reuse_initial = initial as f64 / job.target.count() as f64;
-        self.planes_global = planes.len();
-    }
-
-    /// #P_S and #P_A, from what blocks leave while all that the global planes keep stands.
-    fn count_inaccessible(&mut self, job: &Job, excess: &BitGrid, deficit: &BitGrid) {
-        self.inaccessible_sm = cells(job, excess);
-        self.inaccessible_am = cells(job, deficit);
-    }
-}
-
-/// Number of 2 mm cells that hold any of `set`.
-fn cells(job: &Job, set: &BitGrid) -> usize {
-    let n = (COUNT_CELL_MM / job.frame.pitch).round().max(1.0) as usize;
-    let mut seen = std::collections::BTreeSet::new();
-    set.iter_ones().for_each(|v| {
-        seen.insert(v.map(|c| c / n));
-    });
-    seen.len()
-}
-
-/// Wall seconds per stage, summed over rounds.
-struct Clock {
-    since: Instant,
-    laps: Vec<(&'static str, f64)>,
-}
-
-impl Default for Clock {
-    fn default() -> Self {
-        Clock { since: Instant::now(), laps: Vec::new() }
-    }
-}
-
-impl Clock {
-    fn lap(&mut self, stage: &'static str) {
-        let now = Instant::now();
-        let seconds = (now - self.since).as_secs_f64();
-        self.since = now;
-        match self.laps.iter_mut().find(|(s, _)| *s == stage) {
-            Some(l) => l.1 += seconds,
-            None => self.laps.push((stage, seconds)),
-        }
-    }
 }
