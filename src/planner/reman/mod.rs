@@ -34,7 +34,8 @@
 //!   one counts as reused. The paper names such rounds as future work.
 //! - Where something would be left, raw stock under the planes stands until all is printed, the part
 //!   is printed on supports, and both are cut at the end, with slender tools if need be, if that
-//!   leaves less (`last_resort`). The paper does without supports, to save their material.
+//!   leaves less (`last_resort`); of large parts at once, where a coarse look says that the rules'
+//!   deviation cannot be met without. The paper does without supports, to save their material.
 //! - A placement found by search is moved on by a voxel or two where the reused volume would hide a
 //!   little of what is to be printed (`hidden`).
 //! - With a second holding, planes that leave the part on its base are looked at beside all others:
@@ -292,6 +293,8 @@ fn one_round(
         Search::TopDown => vec![top_down(&mut run, planes)?],
         Search::BottomUp => vec![bottom_up(&mut run)?],
     };
+    // None printed outside the target but where the plan without supports was passed over.
+    let was_made = attempts.iter().all(|a| a.printed_aside(job).is_empty());
     let mut best: Option<Attempt> = None;
     for attempt in attempts {
         if best.as_ref().is_some_and(|b| is_complete(b, job)) {
@@ -305,7 +308,7 @@ fn one_round(
     }
     let best = best.ok_or(PlanError::Cancelled)?;
     let Run { mut report, clock, .. } = run;
-    report.note_supports(job, best.printed_aside(job).count());
+    report.note_supports(job, best.printed_aside(job).count(), was_made);
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
     Ok((best, report))

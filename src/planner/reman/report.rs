@@ -15,7 +15,8 @@ const COUNT_CELL_MM: f64 = 2.0;
 pub struct Report {
     /// B: height of the lowest point of the bases over the base plane, by M's height.
     pub base_height_ratio: Option<f64>,
-    /// #P_S, #P_A: cells of 2 mm with deep material out of reach while all of V_R^C stands.
+    /// #P_S, #P_A: cells of 2 mm with deep material out of reach while all of V_R^C stands; by the
+    /// look on the coarse grid where no blocks were made for that on the job's own.
     pub inaccessible_sm: usize,
     pub inaccessible_am: usize,
     /// R_I: volume of V_R^C by the target's.
@@ -44,11 +45,13 @@ impl Report {
         }
     }
 
-    /// Says that so many voxels are printed outside the target.
-    pub fn note_supports(&mut self, job: &Job, voxels: usize) {
+    /// Says that so many voxels are printed outside the target, and whether the plan without them
+    /// was made or only looked at.
+    pub fn note_supports(&mut self, job: &Job, voxels: usize, was_made: bool) {
         if voxels > 0 {
+            let how = if was_made { "since" } else { "since by a look on a coarser grid" };
             self.notes.push(format!(
-                "{:.1} mm³ of supports are printed and cut away again, since without them more is \
+                "{:.1} mm³ of supports are printed and cut away again, {how} without them more is \
                  left.",
                 voxels as f64 * job.frame.voxel_volume()
             ));
