@@ -120,12 +120,17 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     };
 
     ctx.check()?;
-    let page = report::page(&file, &job, plan, &rules)
-        .map_err(|e| Failure::Io(format!("the report cannot be made ({e:#})")))?;
-    draft.write(output::REPORT, |out| out.write_all(page.as_bytes()))?;
-    if let Some(text) = &posted.text {
-        draft.write(output::PROGRAM, |out| out.write_all(text.as_bytes()))?;
-    }
+    let report = || -> Result<(), Failure> {
+        let page = report::page(&file, &job, plan, &rules)
+            .map_err(|e| Failure::Io(format!("the report cannot be made ({e:#})")))?;
+        draft.write(output::REPORT, |out| out.write_all(page.as_bytes()))
+    };
+    let program = || match &posted.text {
+        Some(text) => draft.write(output::PROGRAM, |out| out.write_all(text.as_bytes())),
+        None => Ok(()),
+    };
+    let (report, program) = rayon::join(report, program);
+    report.and(program)?;
     if let Some(map) = &deviation {
         draft.write(output::DEVIATION, |out| map.write_ply(out))?;
     }
@@ -373,7 +378,7 @@ const MOST_STATE_VOXELS: usize = 1 << 29;
 
 /// States of which each begins with the surface of the one before: the more, the fewer surfaces
 /// are made whole, and the fewer threads have work.
-const STATES_RUN: usize = 6;
+const STATES_RUN: usize = 12;
 
 /// Writes a file whole: to a sibling first, then renamed.
 fn write_beside(

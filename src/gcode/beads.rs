@@ -31,6 +31,14 @@ const ROWS: f64 = 5.0;
 const SAME_LAYER_MM: f64 = 0.01;
 
 pub(super) fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
+    let overlap = || overlap(scene, motions);
+    let ((figures, mut findings), overlap) = rayon::join(|| reach(scene, motions), overlap);
+    findings.extend(overlap);
+    (figures, findings)
+}
+
+/// What of the region the beads reach, and which of them lie outside it.
+fn reach(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     let (h, frame, d) = (scene.frame.pitch, scene.frame, scene.step.direction.vec());
     let process = &scene.tool.process;
     let region = &scene.step.region;
@@ -69,7 +77,6 @@ pub(super) fn beads(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Find
     let what = format!("the {volume:.0} mm³ to add");
     let share = figures.coverage;
     findings.extend(Finding::too_little(scene.line, "beads reach", share, &what, LEAST_FILLED));
-    findings.extend(overlap(scene, motions));
     (figures, findings)
 }
 

@@ -331,13 +331,14 @@ impl<'a> Writer<'a> {
         let digits = self.dialect.linear_digits;
         let mut state = Bead::default();
         let mut before: Option<DVec3> = None;
-        let place = |m: &Move| job.machine.axes(placement, self.rotary, m.tip, tool);
-        let places: Vec<_> = path.moves.iter().map(place).collect();
+        let (chain, gauge) = (&job.machine.kinematics, tool.gauge_mm());
+        let indexed = chain.indexed(placement, self.rotary, gauge);
+        let places: Vec<_> = path.moves.iter().map(|m| indexed.axes(m.tip)).collect();
         let mut arc: Option<(usize, Arc)> = None;
         for (i, m) in path.moves.iter().enumerate() {
             let axes = places[i];
-            job.machine
-                .check_travel(placement, self.rotary, tool, &[m.tip])
+            chain
+                .check_axes(axes, gauge)
                 .map_err(|source| PostError::Travel { step: path.step, source })?;
             let lay = m.kind == MoveKind::Deposit;
             if let Some(e) = &module {

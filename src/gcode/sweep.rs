@@ -15,6 +15,7 @@ use crate::machine::{Machine, Tool};
 use crate::plan::{Step, StepKind};
 use crate::toolpath::{Leg, motion_s};
 use crate::voxel::{BitGrid, Frame};
+use rayon::prelude::*;
 
 /// Smallest fraction of a subtractive region that the edge must sweep. Every voxel has a tip that
 /// reaches it; passes a stepover apart leave ridges and corners, which the surface tolerance covers.
@@ -28,6 +29,10 @@ const LEVELS: f64 = 2.0;
 
 /// Slack in mm for positions written with three decimals.
 pub(super) const WRITTEN_MM: f64 = 0.01;
+
+/// Moves that one thread follows; what it finds does not hang on where a run begins, so tests have
+/// many of them in small programs.
+const RUN: usize = if cfg!(test) { 50 } else { 1 << 14 };
 
 /// Everything a step is judged against.
 pub(super) struct Scene<'a> {
@@ -47,12 +52,12 @@ pub(super) struct Scene<'a> {
 
 /// What is said of a step when the user stopped the run meanwhile is only part of it.
 pub(super) fn judge(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
-    let mut findings = touches(scene, motions);
-    let (mut figures, volume) = match scene.step.kind {
+    let volume = || match scene.step.kind {
         StepKind::Subtractive => cuts(scene, motions),
         StepKind::Additive => beads(scene, motions),
     };
-    findings.extend(volume);
+    let (mut findings, (mut figures, more)) = rayon::join(|| touches(scene, motions), volume);
+    findings.extend(more);
     let control = &scene.machine.control;
     let mut bead = false;
     let leg = |m: &Motion| {
@@ -116,39 +121,46 @@ fn touches(scene: &Scene, motions: &[Motion]) -> Vec<Finding> {
     let stays = Skyline::new(&stays, plane, anchor, cell);
     let whole = points(scene.before, Some(scene.after));
     let whole = Skyline::new(&whole, plane, anchor, cell);
-    let (mut rapid, mut gouge) = (Told::new(Rule::Rapid), Told::new(Rule::Gouge));
     // A cutter deeper than the tolerance under a surface is half a voxel less deep over the centres, and
     // by the way of shrinking it √2 as deep in a corner. A nozzle rides on the staircase.
     let slack = match scene.step.kind {
         StepKind::Subtractive => (scene.tolerance - h / 2.0) * std::f64::consts::FRAC_1_SQRT_2,
         StepKind::Additive => h * 3f64.sqrt(),
     };
-    // Where the last move at feed ended without touching: the next begins there.
-    let mut clear: Option<DVec3> = None;
-    let mut blocks = Vec::new();
-    for m in motions.iter().take_while(|_| scene.ctx.check().is_ok()) {
-        if m.gait == Gait::Rapid {
-            clear = None;
-            if leaves_straight(&plane, m) {
-                continue;
-            }
-            let touch = |p| whole.touched(scene.tool, p, [0.0, WRITTEN_MM], &mut blocks);
-            if let Some(o) = samples(m, h).find_map(touch) {
-                rapid.tell(m.line, format!("a rapid runs the tool into ({o:.2})"));
-            }
-        } else {
-            let touch = |p| stays.touched(scene.tool, p, [slack; 2], &mut blocks);
-            let begun = usize::from(m.from.is_some() && m.from == clear);
-            let found = samples(m, h / 2.0).skip(begun).find_map(touch);
-            clear = found.is_none().then_some(m.to);
-            if let Some(o) = found {
-                let message = format!("the tool enters ({o:.2}) more than {slack:.2} mm deep");
-                gouge.tell(m.line, message);
+    let run = |motions: &[Motion]| {
+        let (mut rapid, mut gouge) = (Told::new(Rule::Rapid), Told::new(Rule::Gouge));
+        // Where the last move at feed ended without touching: the next begins there.
+        let mut clear: Option<DVec3> = None;
+        let mut blocks = Vec::new();
+        for m in motions.iter().take_while(|_| scene.ctx.check().is_ok()) {
+            if m.gait == Gait::Rapid {
+                clear = None;
+                if leaves_straight(&plane, m) {
+                    continue;
+                }
+                let touch = |p| whole.touched(scene.tool, p, [0.0, WRITTEN_MM], &mut blocks);
+                if let Some(o) = samples(m, h).find_map(touch) {
+                    rapid.tell(m.line, format!("a rapid runs the tool into ({o:.2})"));
+                }
+            } else {
+                let touch = |p| stays.touched(scene.tool, p, [slack; 2], &mut blocks);
+                let begun = usize::from(m.from.is_some() && m.from == clear);
+                let found = samples(m, h / 2.0).skip(begun).find_map(touch);
+                clear = found.is_none().then_some(m.to);
+                if let Some(o) = found {
+                    let message = format!("the tool enters ({o:.2}) more than {slack:.2} mm deep");
+                    gouge.tell(m.line, message);
+                }
             }
         }
-    }
-    rapid.findings.extend(gouge.findings);
-    rapid.findings
+        [rapid, gouge]
+    };
+    let runs: Vec<[Told; 2]> = motions.par_chunks(RUN).map(run).collect();
+    let first = |rule: usize| {
+        let all = runs.iter().flat_map(move |told| &told[rule].findings);
+        all.take(MOST_FINDINGS).cloned()
+    };
+    first(0).chain(first(1)).collect()
 }
 
 /// Straight away from the work along the tool axis.

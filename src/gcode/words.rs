@@ -1,5 +1,7 @@
 //! Reads blocks of G-code into words. Shares nothing with the writer.
 
+use std::borrow::Cow;
+
 /// One word of a block: a letter and its number, kept also in thousandths to compare codes exactly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Word {
@@ -64,11 +66,14 @@ pub fn read(line: &str) -> Result<Vec<Word>, BadBlock> {
     Ok(words)
 }
 
-fn without_comments(line: &str) -> Result<String, BadBlock> {
+fn without_comments(line: &str) -> Result<Cow<'_, str>, BadBlock> {
+    if !line.contains([';', '(', ')']) {
+        return Ok(line.into());
+    }
     let (mut out, mut open) = (String::with_capacity(line.len()), false);
     for c in line.chars() {
         match (c, open) {
-            (';', false) => return Ok(out),
+            (';', false) => return Ok(out.into()),
             ('(', false) => open = true,
             ('(', true) | (')', false) => return Err(BadBlock::Comment),
             (')', true) => open = false,
@@ -76,7 +81,7 @@ fn without_comments(line: &str) -> Result<String, BadBlock> {
             (c, false) => out.push(c),
         }
     }
-    if open { Err(BadBlock::Comment) } else { Ok(out) }
+    if open { Err(BadBlock::Comment) } else { Ok(out.into()) }
 }
 
 /// Sign, digits, at most one point; no exponent, no inf, no nan.

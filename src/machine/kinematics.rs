@@ -205,6 +205,32 @@ impl Chain {
         self.motion_of(Mount::Table, rotary) * placement.machine_from_work
     }
 
+    /// The chain with its rotaries at rest, for all that goes on between two turns of them. The
+    /// tool's gauge length is in mm.
+    pub fn indexed(
+        &self,
+        placement: &Placement,
+        rotary: RotaryAngles,
+        gauge_mm: f64,
+    ) -> Indexed<'_> {
+        let machine_from_work = self.machine_from_work(placement, rotary);
+        let work_from_machine = machine_from_work.inverse();
+        let spindle = self.motion_of(Mount::Head, rotary).transform_vector3(DVec3::Z);
+        let direction = Direction::new(work_from_machine.transform_vector3(spindle));
+        Indexed {
+            chain: self,
+            placement: *placement,
+            rotary,
+            gauge_mm,
+            machine_from_work,
+            work_from_machine,
+            tip_from_program: self.tip_from_program(rotary, gauge_mm),
+            // A rotation of z is never zero; only angles that are not finite get here, and they
+            // are refused by every limit check.
+            direction: direction.unwrap_or(Direction::Z),
+        }
+    }
+
     /// Programmed axis values that put the tip of a tool of gauge length `gauge_mm` on `tip`
     /// (work coordinates, mm).
     pub fn axes(
@@ -214,12 +240,7 @@ impl Chain {
         tip: DVec3,
         gauge_mm: f64,
     ) -> AxisValues {
-        if !self.is_cartesian() {
-            let nose = self.nose(placement, rotary, tip, gauge_mm);
-            return AxisValues::new(nose - DVec3::Z * gauge_mm, rotary);
-        }
-        let machine_tip = self.machine_point(placement, rotary, tip);
-        AxisValues::new(machine_tip - self.tip_from_program(rotary, gauge_mm), rotary)
+        self.indexed(placement, rotary, gauge_mm).axes(tip)
     }
 
     /// The forward map: tip (work coordinates, mm) and tool axis for programmed axis values.
@@ -229,19 +250,51 @@ impl Chain {
         axes: AxisValues,
         gauge_mm: f64,
     ) -> (DVec3, Direction) {
-        let rotary = axes.rotary();
-        if !self.is_cartesian() {
-            let nose = axes.linear() + DVec3::Z * gauge_mm;
-            let (tip, way) = self.tip_of_nose(placement, rotary, nose, gauge_mm);
+        let indexed = self.indexed(placement, axes.rotary(), gauge_mm);
+        indexed.tip(axes.linear())
+    }
+}
+
+/// A chain with its rotaries at rest; what follows from their angles alone is worked out once.
+#[derive(Clone, Copy, Debug)]
+pub struct Indexed<'a> {
+    chain: &'a Chain,
+    placement: Placement,
+    rotary: RotaryAngles,
+    gauge_mm: f64,
+    machine_from_work: DAffine3,
+    work_from_machine: DAffine3,
+    tip_from_program: DVec3,
+    /// Of a chain with three linear axes.
+    direction: Direction,
+}
+
+impl Indexed<'_> {
+    /// Whether this is the chain with its rotaries at `rotary` and a tool of this gauge length.
+    pub fn is_at(&self, rotary: RotaryAngles, gauge_mm: f64) -> bool {
+        self.rotary == rotary && self.gauge_mm == gauge_mm
+    }
+
+    /// See [`Chain::axes`].
+    pub fn axes(&self, tip: DVec3) -> AxisValues {
+        if !self.chain.is_cartesian() {
+            let nose = self.chain.nose(&self.placement, self.rotary, tip, self.gauge_mm);
+            return AxisValues::new(nose - DVec3::Z * self.gauge_mm, self.rotary);
+        }
+        let machine_tip = self.machine_from_work.transform_point3(tip);
+        AxisValues::new(machine_tip - self.tip_from_program, self.rotary)
+    }
+
+    /// See [`Chain::tip`]; the linear axes' values.
+    pub fn tip(&self, linear: DVec3) -> (DVec3, Direction) {
+        if !self.chain.is_cartesian() {
+            let nose = linear + DVec3::Z * self.gauge_mm;
+            let (tip, way) =
+                self.chain.tip_of_nose(&self.placement, self.rotary, nose, self.gauge_mm);
             return (tip, Direction::new(way).unwrap_or(Direction::Z));
         }
-        let machine_tip = axes.linear() + self.tip_from_program(rotary, gauge_mm);
-        let work_from_machine = self.machine_from_work(placement, rotary).inverse();
-        let spindle = self.motion_of(Mount::Head, rotary).transform_vector3(DVec3::Z);
-        let direction = Direction::new(work_from_machine.transform_vector3(spindle));
-        // A rotation of z is never zero; only angles that are not finite get here, and they are
-        // refused by every limit check.
-        (work_from_machine.transform_point3(machine_tip), direction.unwrap_or(Direction::Z))
+        let machine_tip = linear + self.tip_from_program;
+        (self.work_from_machine.transform_point3(machine_tip), self.direction)
     }
 }
 

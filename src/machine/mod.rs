@@ -44,7 +44,7 @@ pub use check::check;
 pub use describe::{describe, describe_tool};
 pub use file::{LARGEST_FILE, ProfileError};
 pub use joints::Linear;
-pub use kinematics::{AxisValues, Chain, Mount, Rotary, RotaryAngles};
+pub use kinematics::{AxisValues, Chain, Indexed, Mount, Rotary, RotaryAngles};
 pub use orient::Unreachable;
 pub use place::Place;
 pub use placement::Placement;

@@ -75,10 +75,10 @@ impl Chain {
         gauge_mm: f64,
         tips: &[DVec3],
     ) -> Result<(), Overtravel> {
+        let indexed = self.indexed(placement, rotary, gauge_mm);
         let mut worst: Option<Overtravel> = None;
         for tip in tips {
-            let axes = self.axes(placement, rotary, *tip, gauge_mm);
-            if let Err(found) = self.check_axes(axes, gauge_mm)
+            if let Err(found) = self.check_axes(indexed.axes(*tip), gauge_mm)
                 && worst.is_none_or(|w| found.worse_than(&w))
             {
                 worst = Some(found);

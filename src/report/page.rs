@@ -1,8 +1,10 @@
-use super::draw::draw_step;
+use super::draw::{Drawing, draw_step};
 use super::summary::RuleLine;
-use crate::plan::{Input, Job, Plan, PlanFile, StepKind};
+use crate::plan::{Input, Job, Plan, PlanFile, Step, StepKind};
+use crate::voxel::BitGrid;
 use minijinja::value::Serde;
 use minijinja::{AutoEscape, Environment, Value, context};
+use rayon::prelude::*;
 
 const TEMPLATE: &str = include_str!("page.html");
 
@@ -64,25 +66,10 @@ const MOST_DRAWN: usize = 200;
 const MOST_DRAWN_VOXELS: usize = 1 << 29;
 
 fn steps(file: &PlanFile, job: &Job, plan: &Plan) -> Vec<Value> {
-    let mut state = job.initial.clone();
-    let mut rows = Vec::with_capacity(plan.steps.len());
-    let most = (MOST_DRAWN_VOXELS / job.frame.voxel_count().max(1)).clamp(1, MOST_DRAWN);
-    let stride = plan.steps.len().div_ceil(most).max(1);
-    for (i, (step, record)) in plan.steps.iter().zip(&file.steps).enumerate() {
-        if step.kind == StepKind::Subtractive {
-            state.subtract(&step.region);
-        }
-        let drawn = (i + 1) % stride == 0 || i + 1 == plan.steps.len();
-        let drawing = if drawn {
-            draw_step(&job.frame, &state, &step.region, step.kind, step.direction)
-        } else {
-            Default::default()
-        };
-        if step.kind == StepKind::Additive {
-            state.union_with(&step.region);
-        }
-        let d = step.direction.vec();
-        rows.push(context! {
+    let drawings = drawings(job, plan);
+    let row = |i: usize, step: &Step, drawing: &Drawing| {
+        let (record, d) = (&file.steps[i], step.direction.vec());
+        context! {
             index => record.index,
             kind => Value::from(Serde(step.kind)),
             tool => &step.tool,
@@ -94,10 +81,34 @@ fn steps(file: &PlanFile, job: &Job, plan: &Plan) -> Vec<Value> {
             minutes => record.time_s.map(|t| format!("{:.1}", t / 60.0)),
             plane => step.origin.plane.is_some(),
             view => drawing.view,
-            svg => Value::from_safe_string(drawing.svg),
-        });
+            svg => Value::from_safe_string(drawing.svg.clone()),
+        }
+    };
+    plan.steps.iter().zip(&drawings).enumerate().map(|(i, (step, d))| row(i, step, d)).collect()
+}
+
+/// A drawing of each step, on what it leaves of the workpiece when it cuts, on what it finds when
+/// it prints; empty for those left out.
+fn drawings(job: &Job, plan: &Plan) -> Vec<Drawing> {
+    let most = (MOST_DRAWN_VOXELS / job.frame.voxel_count().max(1)).clamp(1, MOST_DRAWN);
+    let stride = plan.steps.len().div_ceil(most).max(1);
+    let mut state = job.initial.clone();
+    let mut shown = Vec::with_capacity(plan.steps.len());
+    for (i, step) in plan.steps.iter().enumerate() {
+        if step.kind == StepKind::Subtractive {
+            state.subtract(&step.region);
+        }
+        let drawn = (i + 1) % stride == 0 || i + 1 == plan.steps.len();
+        shown.push((step, drawn.then(|| state.clone())));
+        if step.kind == StepKind::Additive {
+            state.union_with(&step.region);
+        }
     }
-    rows
+    let draw = |(step, state): (&Step, Option<BitGrid>)| match state {
+        Some(state) => draw_step(&job.frame, &state, &step.region, step.kind, step.direction),
+        None => Drawing::default(),
+    };
+    shown.into_par_iter().map(draw).collect()
 }
 
 /// A volume as people read it: cm³ above a tenth of one, mm³ below.

@@ -10,7 +10,7 @@ use crate::base::{DVec3, Direction};
 use crate::gcode::dialect::{Dialect, Dwell, Extrusion, ModuleCodes, RS274};
 use crate::gcode::report::{Finding, Rule};
 use crate::gcode::words::{Word, read};
-use crate::machine::{AxisValues, Machine, Placement, RotaryAngles, Tool};
+use crate::machine::{AxisValues, Indexed, Machine, Placement, RotaryAngles, Tool};
 use crate::plan::{Job, Plan, StepKind};
 use crate::toolpath::rest_to_rest;
 use extruder::Storeys;
@@ -121,6 +121,8 @@ struct Interpreter<'a> {
     // Position: the spindle nose with the head at zero, machine coordinates.
     nose: [Option<f64>; 3],
     rotary: [Option<f64>; 2],
+    /// The chain as it stands, and the step it stands so for.
+    indexed: Option<(usize, Indexed<'a>)>,
 }
 
 /// G codes of which the others of their group cancel what a program relies on, but which do nothing
@@ -167,6 +169,7 @@ impl<'a> Interpreter<'a> {
             ended: false,
             nose: [None; 3],
             rotary: [None; 2],
+            indexed: None,
         }
     }
 
@@ -474,9 +477,15 @@ impl<'a> Interpreter<'a> {
         Some(AxisValues::new(DVec3::new(x, y, z - gauge), rotary))
     }
 
-    fn tip(&self, step: usize, gauge: f64) -> Option<(DVec3, Direction)> {
-        let placement = &self.setting.placements[step];
-        Some(self.machine.kinematics.tip(placement, self.axes(gauge)?, gauge))
+    fn tip(&mut self, step: usize, gauge: f64) -> Option<(DVec3, Direction)> {
+        let axes = self.axes(gauge)?;
+        let kept = self.indexed.filter(|(of, at)| *of == step && at.is_at(axes.rotary(), gauge));
+        let (_, at) = kept.unwrap_or_else(|| {
+            let placement = &self.setting.placements[step];
+            (step, self.machine.kinematics.indexed(placement, axes.rotary(), gauge))
+        });
+        self.indexed = Some((step, at));
+        Some(at.tip(axes.linear()))
     }
 
     /// `G53 G0 Z`: to a height of the nose in machine coordinates.
