@@ -340,6 +340,23 @@ fn strictly(text: &str) -> Result<(), String> {
     if ended { Ok(()) } else { Err("no end".into()) }
 }
 
+/// Numbered steps are written one after the other, others side by side.
+#[test]
+fn numbers_are_all_that_numbering_changes() {
+    for (name, make) in WORLDS {
+        let write = |line_numbers| {
+            posted(make, "linuxcnc", Writing { line_numbers, ..Writing::default() }).1
+        };
+        let (plain, numbered) = (write(None), write(Some(true)));
+        assert!(numbered.contains("\nN"), "{name}");
+        let bared: Vec<&str> = numbered
+            .lines()
+            .map(|l| l.strip_prefix('N').and_then(|l| l.split_once(' ')).map_or(l, |(_, l)| l))
+            .collect();
+        assert_eq!(bared, plain.lines().collect::<Vec<_>>(), "{name}");
+    }
+}
+
 #[test]
 fn linuxcnc_programs_pass_a_strict_reading() {
     for (name, make) in WORLDS {

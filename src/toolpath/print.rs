@@ -17,7 +17,7 @@ use super::infill::{Fill, Line, fill, hatch, length as length_of};
 use super::mill::{Free, Work};
 use super::moves::{Figures, Move, MoveKind};
 use super::piece::{Piece, outlines};
-use super::polygons::{clip_lines, difference, intersection, of_paths, offset, simple, union};
+use super::polygons::{clip_lines, difference, intersection, of_paths, offset, simple};
 use super::process::{CLEARANCE_MM, Printing};
 use super::slice::area;
 use crate::base::{Cancelled, DVec2, DVec3};
@@ -150,22 +150,45 @@ pub(super) fn print(work: &Work, process: &Printing) -> Result<Printed, Cancelle
 struct Sections {
     whole: Vec<PathsD>,
     inner: Vec<PathsD>,
+    /// What the insides of as many layers as a skin counts, and one more, from the k-th on, share.
+    shared: Vec<PathsD>,
 }
 
 impl Sections {
     fn new(slabs: &[Slab], process: &Printing, outline: impl Fn(f64) -> PathsD + Sync) -> Sections {
         let whole: Vec<PathsD> =
             slabs.par_iter().map(|s| simple(&outline(s.middle()), CHORD_MM)).collect();
-        let inner = whole.par_iter().map(|s| inside(s, process)).collect();
-        Sections { whole, inner }
+        let inner: Vec<PathsD> = whole.par_iter().map(|s| inside(s, process)).collect();
+        let shared = match has_skins(process) {
+            true => shared(&inner, process.skins + 1),
+            false => Vec::new(),
+        };
+        Sections { whole, inner, shared }
     }
 
     fn layers(&self, slabs: &[Slab], process: &Printing) -> Vec<Layer> {
         let layer = |k: usize| {
-            let bare = bare(&self.inner, k, process);
+            let bare = self.bare(k, process);
             beads(&self.whole[k], &self.inner[k], &bare, process, slabs[k], k)
         };
         (0..slabs.len()).into_par_iter().map(layer).collect()
+    }
+
+    /// The part of a layer's inside that some of the next layers above or below do not cover.
+    fn bare(&self, k: usize, process: &Printing) -> PathsD {
+        let inner = &self.inner[k];
+        if !has_skins(process) || inner.is_empty() {
+            return PathsD::new();
+        }
+        let above = self.shared.get(k);
+        let below = k.checked_sub(process.skins).and_then(|first| self.shared.get(first));
+        let bare = match (above, below) {
+            (Some(above), Some(below)) => difference(inner, &intersection(above, below)),
+            _ => inner.clone(),
+        };
+        // Slivers narrower than a bead are the infill's; what is left overlaps it by half a bead.
+        let w = process.width;
+        intersection(&offset(&offset(&bare, -w / 2.0), w), inner)
     }
 }
 
@@ -176,25 +199,26 @@ fn inside(section: &PathsD, process: &Printing) -> PathsD {
     simple(&offset(section, -w * (rims - INSET_SLACK)), CHORD_MM)
 }
 
-/// The part of a layer's inside that some of the next layers above or below do not cover.
-fn bare(inner: &[PathsD], k: usize, process: &Printing) -> PathsD {
-    let n = process.skins;
-    if n == 0 || process.infill >= 1.0 || inner[k].is_empty() {
-        return PathsD::new();
-    }
-    let covered = |layers: &mut dyn Iterator<Item = Option<&PathsD>>| {
-        let mut all = inner[k].clone();
-        for layer in layers {
-            all = layer.map_or_else(PathsD::new, |l| intersection(&all, l));
-        }
-        all
+/// Whether some of what the perimeters leave is filled whole, not by the pattern.
+fn has_skins(process: &Printing) -> bool {
+    process.skins > 0 && process.infill < 1.0
+}
+
+/// What each run of `n` layers shares, by the first of them. Runs twice as long are made of two, so
+/// that each costs few intersections.
+fn shared(layers: &[PathsD], n: usize) -> Vec<PathsD> {
+    let runs = |from: &[PathsD], apart: usize| -> Vec<PathsD> {
+        let pairs = from.par_iter().zip(&from[apart.min(from.len())..]);
+        pairs.map(|(a, b)| intersection(a, b)).collect()
     };
-    let above = covered(&mut (1..=n).map(|i| inner.get(k + i)));
-    let below = covered(&mut (1..=n).map(|i| k.checked_sub(i).map(|j| &inner[j])));
-    let bare = union(&difference(&inner[k], &above), &difference(&inner[k], &below));
-    // Slivers narrower than a bead are the infill's; what is left overlaps it by half a bead.
-    let w = process.width;
-    intersection(&offset(&offset(&bare, -w / 2.0), w), &inner[k])
+    let (mut all, mut long) = (layers.to_vec(), 1);
+    while long < n {
+        // The two may lie half on each other.
+        let apart = long.min(n - long);
+        all = runs(&all, apart);
+        long += apart;
+    }
+    all
 }
 
 fn beads(
@@ -478,9 +502,9 @@ mod tests {
     fn layer(outline: &[Outline], k: usize, of: usize) -> Layer {
         let p = figures();
         let sections = vec![to_paths(outline); of];
-        let inner: Vec<PathsD> = sections.iter().map(|s| inside(s, &p)).collect();
-        let slab = Slab { tip: 0.2, height: 0.2 };
-        beads(&sections[k], &inner[k], &bare(&inner, k, &p), &p, slab, k)
+        let slabs = vec![Slab { tip: 0.2, height: 0.2 }; of];
+        let sections = Sections::new(&slabs, &p, |_| to_paths(outline));
+        sections.layers(&slabs, &p).swap_remove(k)
     }
 
     #[test]
@@ -505,6 +529,24 @@ mod tests {
         let thin = layer(&[wall(0.2)], 0, 1);
         assert!(thin.loops.is_empty() && thin.fill.is_empty());
         assert!((thin.thin_mm3 - 0.4).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_runs_of_layers_share_is_what_all_of_each_do() {
+        let layers: Vec<PathsD> =
+            (0..9).map(|k| to_paths(&[square(f64::from(k % 4), f64::from(9 - k % 3))])).collect();
+        for n in 1..=9 {
+            let runs = shared(&layers, n);
+            assert_eq!(runs.len(), layers.len() + 1 - n);
+            for (run, first) in runs.iter().zip(0..) {
+                let all = layers[first..first + n].iter().cloned();
+                let plain = all.reduce(|a, b| intersection(&a, &b)).unwrap();
+                let beside = [difference(run, &plain), difference(&plain, run)];
+                assert!(beside.iter().all(|p| area(&outlines(p)) < 1e-6), "{n} {first}");
+                assert!(area(&outlines(run)) > 1.0, "{n} {first}");
+            }
+        }
+        assert!(shared(&layers, 10).is_empty());
     }
 
     #[test]

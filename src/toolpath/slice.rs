@@ -19,16 +19,10 @@ pub(super) type Outline = Vec<DVec2>;
 /// voxel counts as solid instead of tracing noise.
 const LEVEL: f32 = 0.499;
 
-/// What `floor` gives, which is a call into the system's library on processors as old as are served.
-fn floor(x: f64) -> f64 {
-    let whole = x as i64 as f64;
-    if whole > x { whole - 1.0 } else { whole }
-}
-
 /// Trilinear occupancy at a world point.
 fn occupancy(region: &BitGrid, frame: &Frame, p: DVec3) -> f32 {
     let g = frame.grid_from_world(p) - DVec3::splat(0.5);
-    let low = DVec3::new(floor(g.x), floor(g.y), floor(g.z));
+    let low = g.floor();
     let t = (g - low).as_vec3();
     let base = [low.x as i64, low.y as i64, low.z as i64];
     let mut sum = 0.0;
@@ -266,7 +260,6 @@ mod tests {
                 }
             }
         }
-        assert!([-2.5, -2.0, -0.0, 0.7, 3.0].iter().all(|x| floor(*x) == f64::floor(*x)));
     }
 
     #[test]

@@ -307,6 +307,9 @@ impl<'a> Cutter<'_, 'a> {
         let state = &self.cutting.state;
         for _ in 0..BRIDGE_ROUNDS {
             let Cut { region, .. } = over_cut(&job.frame, state, &rest, fixed, tool, direction);
+            if region.is_empty() {
+                return region;
+            }
             let standing = state.minus(&region);
             let held = steady(&standing, &job.frame, job.rules.holding, job.rules.grip_mm);
             let loose = standing.minus(&held);
