@@ -501,7 +501,6 @@ mod tests {
 
     fn layer(outline: &[Outline], k: usize, of: usize) -> Layer {
         let p = figures();
-        let sections = vec![to_paths(outline); of];
         let slabs = vec![Slab { tip: 0.2, height: 0.2 }; of];
         let sections = Sections::new(&slabs, &p, |_| to_paths(outline));
         sections.layers(&slabs, &p).swap_remove(k)
