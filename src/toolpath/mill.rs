@@ -34,6 +34,10 @@ const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// Share of the region that must be swept: a little more than the program's check asks for.
 const LEAST_SHARE: f64 = 0.985;
 
+/// A region of so few voxels is held against the tips as they were, not against the cells they are
+/// nearest to: there a single voxel is more than may be left.
+const FEW: usize = 400;
+
 /// Lumps this deep, as a share of the surface tolerance, are cut at the price of a gouge: the
 /// program's check finds those of the whole of it.
 const LUMP_SHARE: f64 = 0.9;
@@ -389,9 +393,18 @@ impl<'a> Stage<'a> {
         let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
         let exact = std::mem::take(&mut self.exact.tips.data);
         let share = self.rest_over(&exact, half, 0.0)?;
-        if self.meshes.is_none() || share == 1.0 {
-            return Ok(share);
+        let share = match self.meshes.is_none() || share == 1.0 {
+            true => share,
+            false => self.rest_for_a_gouge(&exact, half)?,
+        };
+        match self.work.step.region.count() {
+            n if n <= FEW => self.rest_of_few(half, share),
+            _ => Ok(share),
         }
+    }
+
+    /// Cuts what `exact` heights, those over the meshes, left; returns the fraction that is covered.
+    fn rest_for_a_gouge(&mut self, exact: &[f32], half: f64) -> Result<f64, Cancelled> {
         // What the meshes leave no room for, the voxels may, which is what the plan was made on:
         // lumps deeper than the tolerance go as far as a nick lets the tool in; a block of which
         // so much is left that the plan's volume is not cut goes at the price of a pitch's gouge, and so does
@@ -404,7 +417,7 @@ impl<'a> Stage<'a> {
             self.rest_over(&plain, half, half)?;
         } else {
             let nick = |(z, e): (&f32, &f32)| z.max(e - NICK_MM as f32);
-            let nicked: Vec<f32> = plain.iter().zip(&exact).map(nick).collect();
+            let nicked: Vec<f32> = plain.iter().zip(exact).map(nick).collect();
             let deep = (tolerance / 2.0).max(half);
             self.rest_over(&nicked, deep, deep)?;
             // Nor may a lump be left that the program's check would find.
@@ -414,6 +427,38 @@ impl<'a> Stage<'a> {
         Ok(self.uncovered(half, half)?.1)
     }
 
+    /// Cuts what the tips passed by of a region of a few voxels, however `share` of it was covered
+    /// by the lattice; returns the share that is.
+    fn rest_of_few(&mut self, half: f64, share: f64) -> Result<f64, Cancelled> {
+        let Work { frame, step, tool, ctx, .. } = self.work;
+        let points: Vec<DVec3> = step.region.iter_ones().map(|v| frame.center(v)).collect();
+        let share_of = |left: &[DVec3]| 1.0 - left.len() as f64 / points.len().max(1) as f64;
+        let left = self.passed_by(&points, half);
+        if share_of(&left) >= LEAST_SHARE {
+            return Ok(share);
+        }
+        let uncovered: Vec<(DVec2, f32)> = left.iter().map(|p| self.seen(*p)).collect();
+        let plain = self.free.heights(tool, 0.0, 0.0, ctx)?.data;
+        self.lower_over(&uncovered, &plain)?;
+        Ok(share_of(&self.passed_by(&points, half)))
+    }
+
+    /// The points that no tip of the cuts so far came within `slack` of with its edge.
+    fn passed_by(&self, points: &[DVec3], slack: f64) -> Vec<DVec3> {
+        let (plane, tool) = (self.lattice.plane, self.work.tool);
+        let reach = tool.active_radius() + slack;
+        let mut left: Vec<DVec3> = points.to_vec();
+        for tip in cut_tips(&self.moves, self.work.frame.pitch / 2.0) {
+            let (at, z) = (plane.across(tip), plane.height(tip));
+            left.retain(|p| {
+                let rho = plane.across(*p).distance(at);
+                let under = || z + tool.active_lower_surface((rho - slack).max(0.0));
+                rho > reach || under() > plane.height(*p) + slack
+            });
+        }
+        left
+    }
+
     /// Cuts the region farther than `slack` under and `side` beside what was swept, with lowest
     /// tips `free`.
     fn rest_over(&mut self, free: &[f32], slack: f64, side: f64) -> Result<f64, Cancelled> {
@@ -421,16 +466,26 @@ impl<'a> Stage<'a> {
         if uncovered.is_empty() {
             return Ok(share);
         }
+        self.lower_over(&uncovered, free)?;
+        Ok(self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM, 0.0)?.1)
+    }
+
+    /// Cuts points (across and along the axis) each from the nearest cell over which the tip may
+    /// stand low enough.
+    fn lower_over(&mut self, points: &[(DVec2, f32)], free: &[f32]) -> Result<(), Cancelled> {
+        let (l, tool) = (self.lattice, self.work.tool);
         let h = self.work.frame.pitch as f32;
         let mut offsets = self.edge.offsets();
         offsets.sort_by_key(|(i, j, _)| (i * i + j * j, *j, *i));
-        let mut need = vec![f32::INFINITY; self.lattice.cells()];
-        for (cell, height) in uncovered {
-            let reached = offsets.iter().find_map(|(di, dj, k)| {
+        let mut need = vec![f32::INFINITY; l.cells()];
+        for (uv, height) in points {
+            let Some(cell) = l.cell(*uv) else { continue };
+            let reached = offsets.iter().find_map(|(di, dj, _)| {
                 let i = cell[0].checked_add_signed(*di as isize)?;
                 let j = cell[1].checked_add_signed(*dj as isize)?;
-                let inside = i < self.lattice.n[0] && j < self.lattice.n[1];
-                let at = self.lattice.index([i, j]);
+                let inside = i < l.n[0] && j < l.n[1];
+                let k = tool.active_lower_surface(l.uv([i, j]).distance(*uv)) as f32;
+                let at = l.index([i, j]);
                 (inside && free[at] <= height - k).then_some((at, height - k))
             });
             if let Some((at, z)) = reached {
@@ -440,13 +495,12 @@ impl<'a> Stage<'a> {
         }
         let near = self.near()?;
         let ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
-        self.levels(&need, &ceiling, &near)?;
-        Ok(self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM, 0.0)?.1)
+        self.levels(&need, &ceiling, &near)
     }
 
-    /// Region voxels farther than `slack` under what the edge, grown by `side`, swept (cell and
-    /// height), and the fraction of the others.
-    fn uncovered(&mut self, slack: f64, side: f64) -> Result<(Vec<(Cell, f32)>, f64), Cancelled> {
+    /// Region voxels farther than `slack` under what the edge, grown by `side`, swept (across and
+    /// along the axis), and the fraction of the others.
+    fn uncovered(&mut self, slack: f64, side: f64) -> Result<(Vec<(DVec2, f32)>, f64), Cancelled> {
         let l = self.lattice;
         let tool = self.work.tool;
         let edge = |rho: f64| tool.active_lower_surface(rho);
@@ -458,30 +512,28 @@ impl<'a> Stage<'a> {
         for v in self.work.step.region.iter_ones() {
             let p = self.work.frame.center(v);
             all += 1;
-            let height = l.plane.height(p) as f32;
-            if let Some(c) = l.cell(l.plane.across(p))
-                && -reached.data[l.index(c)] > height + half
-            {
-                left.push((c, height));
+            let (uv, height) = self.seen(p);
+            if l.cell(uv).is_some_and(|c| -reached.data[l.index(c)] > height + half) {
+                left.push((uv, height));
             }
         }
         let share = 1.0 - left.len() as f64 / all.max(1) as f64;
         Ok((left, share))
     }
 
+    /// A point across and along the axis.
+    fn seen(&self, p: DVec3) -> (DVec2, f32) {
+        let plane = self.lattice.plane;
+        (plane.across(p), plane.height(p) as f32)
+    }
+
     /// Adds the cuts made since the last time to what was swept.
     fn note_cuts(&mut self) {
         let l = self.lattice;
-        let cut = |w: &&[Move]| w[1].kind == MoveKind::Cut;
-        let since = &self.moves[self.noted.saturating_sub(1)..];
-        for w in since.windows(2).filter(cut) {
-            let n = (w[0].tip.distance(w[1].tip) / (l.s / 2.0)).ceil().max(1.0);
-            for i in 0..=n as usize {
-                let p = w[0].tip.lerp(w[1].tip, i as f64 / n);
-                if let Some(c) = l.cell(l.plane.across(p)) {
-                    let i = l.index(c);
-                    self.swept.data[i] = self.swept.data[i].max(-(l.plane.height(p) as f32));
-                }
+        for p in cut_tips(&self.moves[self.noted.saturating_sub(1)..], l.s / 2.0) {
+            if let Some(c) = l.cell(l.plane.across(p)) {
+                let i = l.index(c);
+                self.swept.data[i] = self.swept.data[i].max(-(l.plane.height(p) as f32));
             }
         }
         self.noted = self.moves.len();
@@ -633,6 +685,15 @@ impl<'a> Stage<'a> {
         self.moves.push(Move { kind, tip, feed });
         (self.at, self.aside) = (Some((cell, z)), aside);
     }
+}
+
+/// Tips on the way of the cuts, at most `apart` mm from each other.
+fn cut_tips(moves: &[Move], apart: f64) -> impl Iterator<Item = DVec3> {
+    let cuts = moves.windows(2).filter(|w| w[1].kind == MoveKind::Cut);
+    cuts.flat_map(move |w| {
+        let n = (w[0].tip.distance(w[1].tip) / apart).ceil().max(1.0);
+        (0..=n as usize).map(move |i| w[0].tip.lerp(w[1].tip, i as f64 / n))
+    })
 }
 
 /// How far a point may lie from the centre of its cell, mm: nothing along the grid axes.

@@ -173,6 +173,54 @@ fn cutters_clear_what_stays_and_sweep_what_goes() {
     }
 }
 
+/// Of a block of a few voxels one is more than the program's check lets stand; the lattice of tips
+/// takes a tip for up to a cell from where it is. Here they are the bottom of a groove in which the
+/// cutter has little room.
+#[test]
+fn of_a_few_voxels_none_is_passed_by() {
+    let normals = crate::base::fibonacci_sphere(200).into_iter().map(|d| d.vec());
+    for n in normals.filter(|n| n.z > 0.6) {
+        let mut w = world("generic-5axis", 0.5, DVec3::new(24.0, 20.0, 14.0), block, &[]);
+        let (frame, tool) = (w.job.frame, w.job.cutters[0].clone());
+        let (middle, along) = (DVec3::new(12.0, 10.0, 9.0), n.any_orthonormal_vector());
+        // What a ball along a short line, and all that is over it, takes away.
+        let in_groove = |p: DVec3| {
+            let q = p - middle;
+            let beside = q - along * along.dot(q).clamp(-1.0, 1.0);
+            (beside - n * n.dot(beside).max(0.0)).length() < 1.7
+        };
+        let groove = BitGrid::from_fn(frame.dims, |v| in_groove(frame.center(v)));
+        let is_low = |p: DVec3| n.dot(p - middle) < -0.6;
+        let region = BitGrid::from_fn(frame.dims, |v| is_low(frame.center(v))).and(&groove);
+        w.job.initial.subtract(&groove.minus(&region));
+        w.job.target.subtract(&groove);
+        w.plan.steps.push(Step {
+            kind: StepKind::Subtractive,
+            tool: tool.name.clone(),
+            direction: Direction::new(n).unwrap(),
+            holding: 0,
+            region: region.clone(),
+            block: 0,
+            origin: Origin::default(),
+        });
+        let path = paths(&w).remove(0);
+        let (d, slack) = (path.direction, frame.pitch / 2.0 + 0.01);
+        let cuts = path.moves.windows(2).filter(|m| m[1].kind == MoveKind::Cut);
+        let tips: Vec<DVec3> = cuts
+            .flat_map(|m| (0..=20).map(|i| m[0].tip.lerp(m[1].tip, f64::from(i) / 20.0)))
+            .collect();
+        let swept = |p: DVec3| {
+            tips.iter().any(|t| {
+                let rho = (p - *t - d.vec() * d.dot(p - *t)).length();
+                let under = tool.active_lower_surface((rho - slack).max(0.0));
+                d.dot(*t) + under <= d.dot(p) + slack
+            })
+        };
+        let left = region.iter_ones().filter(|v| !swept(frame.center(*v))).count();
+        assert_eq!(left, 0, "of {} along {n}", region.count());
+    }
+}
+
 #[test]
 fn rapids_run_high_or_straight_up() {
     for (name, make) in WORLDS {
