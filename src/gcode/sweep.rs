@@ -277,18 +277,17 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     }
     // Half a voxel: a ridge or a corner that a voxel's centre stands in, but not its far side.
     let slack = h / 2.0 + WRITTEN_MM;
-    let near = offsets((radius + slack) / (h / 2.0));
-    let swept = centers.iter().filter(|p| lowest.swept(**p, scene.tool, &near, slack)).count();
+    let left = |slack| {
+        let feeds = motions.iter().filter(|m| m.gait == Gait::Feed);
+        let tips = feeds.take_while(|_| goes_on()).flat_map(|m| samples(m, h / 2.0));
+        unswept(&centers, &lowest, scene.tool, tips, slack)
+    };
+    let swept = centers.len() - left(slack).len();
     figures.coverage = swept as f64 / centers.len() as f64;
     figures.removed_mm3 = swept as f64 * scene.frame.voxel_volume();
     let mut findings = astray.findings;
     findings.extend(engagement(scene, motions, &centers, &lowest));
-    let near = offsets((radius + scene.tolerance) / (h / 2.0));
-    let missed: Vec<DVec3> = centers
-        .iter()
-        .filter(|p| !lowest.swept(**p, scene.tool, &near, scene.tolerance))
-        .copied()
-        .collect();
+    let missed = left(scene.tolerance);
     if missed.len() >= LEAST_LUMP {
         findings.push(lump(scene, motions, &missed));
     }
@@ -296,6 +295,44 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     let share = figures.coverage;
     findings.extend(Finding::too_little(scene.line, "the edge sweeps", share, &what, LEAST_SWEPT));
     (figures, findings)
+}
+
+/// The points that the edge at none of the tips came within `slack` of; `lowest` knows the tips.
+fn unswept(
+    points: &[DVec3],
+    lowest: &Lowest,
+    tool: &Tool,
+    tips: impl Iterator<Item = DVec3>,
+    slack: f64,
+) -> Vec<DVec3> {
+    let plane = lowest.plane;
+    let reach = tool.active_radius() + slack;
+    let near = offsets(reach / lowest.cells.side);
+    let missed = points.iter().filter(|p| !lowest.swept(**p, tool, &near, slack));
+    let missed: Vec<DVec3> = missed.copied().collect();
+    // The lowest tip of a cell may pass by what a higher one, nearer to it, takes.
+    let seen = |p: DVec3| (plane.across(p), plane.height(p));
+    let cells = Cells::over(lowest.cells.origin, lowest.cells.end(), reach);
+    let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
+    for (i, p) in missed.iter().enumerate() {
+        if let Some(c) = cells.at(plane.across(*p)) {
+            waiting[c].push(i);
+        }
+    }
+    let mut is_swept = vec![false; missed.len()];
+    for tip in tips {
+        let (at, z) = seen(tip);
+        for c in cells.within(at - DVec2::splat(reach), at + DVec2::splat(reach)) {
+            waiting[c].retain(|i| {
+                let (uv, height) = seen(missed[*i]);
+                let rho = (at.distance(uv) - slack).max(0.0);
+                is_swept[*i] = z + tool.active_lower_surface(rho) <= height + slack;
+                !is_swept[*i]
+            });
+        }
+    }
+    let left = missed.iter().zip(&is_swept).filter(|(_, swept)| !**swept);
+    left.map(|(p, _)| *p).collect()
 }
 
 /// What is left of the region deeper than the tolerance, at the line that passes nearest.
@@ -417,4 +454,30 @@ fn footprint(cells: &Cells, plane: ImagePlane, points: &[DVec3], reach: f64) -> 
             })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::Direction;
+    use crate::machine::ToolKind;
+
+    /// The lowest tip of a cell stands for all of its tips only where it is near enough.
+    #[test]
+    fn a_deeper_tip_does_not_hide_a_nearer_one() {
+        let machine = Machine::builtin("generic-5axis").unwrap();
+        let tool = machine.tools_of(ToolKind::Subtractive)[0].clone();
+        let (low, high) = (DVec2::splat(-5.0), DVec2::splat(5.0));
+        let mut lowest = Lowest::over(low, high, 0.25, Direction::Z.image_plane());
+        let tips = [DVec3::new(0.2, 0.0, -0.5), DVec3::new(0.01, 0.0, 0.0)];
+        tips.iter().for_each(|t| assert!(lowest.note(*t)));
+        let left = |x: f64, tips: &[DVec3]| {
+            let point = DVec3::new(x, 0.0, 1.5);
+            !unswept(&[point], &lowest, &tool, tips.iter().copied(), 0.25).is_empty()
+        };
+        assert_eq!(tool.active_radius(), 1.5);
+        assert!(left(-1.6, &tips[..1]));
+        assert!(!left(-1.6, &tips));
+        assert!(left(-1.8, &tips));
+    }
 }

@@ -35,8 +35,8 @@ const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 const LEAST_SHARE: f64 = 0.985;
 
 /// A region of so few voxels is held against the tips as they were, not against the cells they are
-/// nearest to: there a single voxel is more than may be left.
-const FEW: usize = 400;
+/// nearest to: there a few of them, even a single one, are more than may be left.
+const FEW: usize = 4000;
 
 /// Lumps this deep, as a share of the surface tolerance, are cut at the price of a gouge: the
 /// program's check finds those of the whole of it.

@@ -27,6 +27,7 @@ mod process;
 mod ramp;
 mod rowmax;
 mod slice;
+mod specks;
 mod timing;
 #[cfg(test)]
 pub(crate) mod tests;

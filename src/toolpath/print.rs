@@ -8,8 +8,9 @@
 //! the nozzle would meet the state before the step.
 //!
 //! Guarantees: every bead's centre line lies inside the section, half a bead from its outline (less
-//! [`INSET_SLACK`]); outlines deviate from the section by at most [`CHORD_MM`]. Not guaranteed:
-//! what is thinner than a bead gets none, and its volume is reported.
+//! [`INSET_SLACK`]), but for those of `specks`; outlines deviate from the section by at most [`CHORD_MM`].
+//! Not guaranteed: what is thinner than a bead gets none where others are near, and its volume is
+//! reported.
 
 use super::comb::Islands;
 use super::image::{Image, Lattice};
@@ -20,6 +21,7 @@ use super::piece::{Piece, outlines};
 use super::polygons::{clip_lines, difference, intersection, of_paths, offset, simple};
 use super::process::{CLEARANCE_MM, Printing};
 use super::slice::area;
+use super::specks::specks;
 use crate::base::{Cancelled, DVec2, DVec3};
 use crate::machine::Seam;
 use clipper2_rust::{PathD, PathsD, PointD};
@@ -44,6 +46,11 @@ const LEAST_WIDTH: f64 = 0.5;
 /// What loops may lay on the whole, as a multiple of what they cover: more, and narrow places get
 /// single beads in place of two that lie half on each other. Below what the program's check allows.
 const MOST_LAPPED: f64 = 1.1;
+
+/// A region of so few voxels, or with this share of it too thin for a bead, is looked over for what
+/// beads stay away from: elsewhere that is no part of it that counts.
+const FEW: usize = 4000;
+const MUCH_THIN: f64 = 0.02;
 
 /// Corners of a straight thin piece at most; the search for its ends is quadratic.
 const MOST_CORNERS: usize = 200;
@@ -128,6 +135,15 @@ pub(super) fn print(work: &Work, process: &Printing) -> Result<Printed, Cancelle
         layers = sections.layers(&slabs, &narrow);
     }
     let thin_mm3 = layers.iter().map(|l| l.thin_mm3).sum::<f64>();
+    let voxels = work.step.region.count();
+    if voxels <= FEW || thin_mm3 > MUCH_THIN * voxels as f64 * work.frame.voxel_volume() {
+        let middles: Vec<f64> = slabs.iter().map(Slab::middle).collect();
+        let lines = layers.iter().zip(&middles);
+        let lines = lines.flat_map(|(l, z)| l.loops.iter().chain(&l.fill).map(|line| (*z, line)));
+        for (k, bead) in specks(work, process, &plane, &middles, lines) {
+            layers[k].fill.push(bead);
+        }
+    }
     let free = Free::around(work, work.before, h);
     let heights = free.heights(work.tool, 0.0, 0.0, work.ctx)?;
     let blocked = heights.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);

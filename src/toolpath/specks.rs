@@ -1,0 +1,105 @@
+//! Short beads for what the lines of all layers stay away from: specks narrower than a bead.
+//!
+//! Method: of the voxels farther from every bead than the infill leaves any, one after the other gets
+//! a bead as long as it is wide through its middle, in the layer nearest to it, unless a short bead
+//! before it is within reach.
+//!
+//! Guarantees: with these beads every voxel of the region is within reach of one; each lies within
+//! half its width of the centre of a voxel. Not guaranteed: that it stays inside the exact section, which
+//! is narrower.
+
+use super::infill::Line;
+use super::mill::Work;
+use super::process::Printing;
+use crate::base::{DVec2, DVec3, ImagePlane};
+use crate::voxel::{BitGrid, distance_within};
+
+/// How far a voxel may be from the nearest bead, mm: half the distance between infill lines, a layer,
+/// and a voxel's size.
+fn reach(work: &Work, process: &Printing) -> f64 {
+    process.width / process.infill.clamp(0.05, 1.0) / 2.0 + process.layer + work.frame.pitch
+}
+
+/// Short beads, each with the index of its layer, for what `lines` (with the heights of their
+/// middles along the direction, mm) do not reach; `middles` are those of the layers.
+pub(super) fn specks<'a>(
+    work: &Work,
+    process: &Printing,
+    plane: &ImagePlane,
+    middles: &[f64],
+    lines: impl Iterator<Item = (f64, &'a Line)>,
+) -> Vec<(usize, Line)> {
+    let (frame, region) = (work.frame, &work.step.region);
+    let mut laid = BitGrid::new(frame.dims);
+    for (height, line) in lines {
+        for ends in line.windows(2) {
+            let n = (ends[0].distance(ends[1]) / (frame.pitch / 2.0)).ceil().max(1.0);
+            let at = |i: usize| ends[0].lerp(ends[1], i as f64 / n);
+            let points = (0..=n as usize).map(|i| plane.world(at(i), height));
+            points.filter_map(|p| frame.voxel_at(p)).for_each(|v| laid.set(v, true));
+        }
+    }
+    let reach = reach(work, process);
+    let far = region.minus(&distance_within(&laid, reach / frame.pitch));
+    let mut near: Vec<DVec3> = Vec::new();
+    let mut short = Vec::new();
+    for p in far.iter_ones().map(|v| frame.center(v)) {
+        if near.iter().any(|q| q.distance(p) <= reach) {
+            continue;
+        }
+        near.push(p);
+        let (at, height) = (plane.across(p), plane.height(p));
+        let half = DVec2::new(process.width / 2.0, 0.0);
+        let away = |k: &usize| (middles[*k] - height).abs();
+        let layer = (0..middles.len()).min_by(|a, b| away(a).total_cmp(&away(b)));
+        short.extend(layer.map(|k| (k, vec![at - half, at + half])));
+    }
+    short
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::Ctx;
+    use crate::machine::ToolKind;
+    use crate::toolpath::tests::tower;
+
+    #[test]
+    fn what_is_far_from_every_bead_gets_one_and_the_rest_none() {
+        let w = tower("generic-5axis");
+        let (job, mut step) = (&w.job, w.plan.steps[0].clone());
+        let tool = job.machine.tools_of(ToolKind::Additive)[0].clone();
+        let (n, apart) = (job.frame.dims[0], 12);
+        step.region = BitGrid::from_fn(job.frame.dims, |v| v[1] == 20 && v[2] == 30);
+        let none = BitGrid::new(job.frame.dims);
+        let work = Work {
+            job,
+            frame: &job.frame,
+            step: &step,
+            tool: &tool,
+            before: &none,
+            after: &none,
+            fixed: &[],
+            surfaces: &[none.clone(), none.clone()],
+            ctx: &Ctx::quiet(),
+        };
+        let extruder = job.machine.extruder.as_ref().unwrap();
+        let process = Printing::of(&job.machine, extruder, &tool);
+        let plane = step.direction.image_plane();
+        let at = |x: usize| plane.across(job.frame.center([x, 20, 30]));
+        let z = plane.height(job.frame.center([0, 20, 30]));
+        let middles = [z - 0.3, z - 0.1, z + 0.1001];
+        let made = |line: &Line| specks(&work, &process, &plane, &middles, [(z, line)].into_iter());
+        // A bead along the first voxels leaves those beyond its reach.
+        let long = vec![at(0), at(apart)];
+        let beads = made(&long);
+        let reach = reach(&work, &process);
+        let all = |x: usize| {
+            let far = |line: &Line| line.iter().all(|p| p.distance(at(x)) > reach);
+            x > apart && far(&long) && beads.iter().all(|(_, line)| far(line))
+        };
+        assert!(!beads.is_empty() && !(0..n).any(all), "{beads:?}");
+        assert!(beads.iter().all(|(k, line)| *k == 1 && line.iter().all(|p| p.x >= at(apart).x)));
+        assert!(made(&vec![at(0), at(n - 1)]).is_empty());
+    }
+}
