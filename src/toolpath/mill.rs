@@ -478,23 +478,29 @@ impl<'a> Stage<'a> {
         let mut offsets = self.edge.offsets();
         offsets.sort_by_key(|(i, j, _)| (i * i + j * j, *j, *i));
         let mut need = vec![f32::INFINITY; l.cells()];
+        let mut ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
         for (uv, height) in points {
             let Some(cell) = l.cell(*uv) else { continue };
-            let reached = offsets.iter().find_map(|(di, dj, _)| {
-                let i = cell[0].checked_add_signed(*di as isize)?;
-                let j = cell[1].checked_add_signed(*dj as isize)?;
-                let inside = i < l.n[0] && j < l.n[1];
-                let k = tool.active_lower_surface(l.uv([i, j]).distance(*uv)) as f32;
-                let at = l.index([i, j]);
-                (inside && free[at] <= height - k).then_some((at, height - k))
-            });
-            if let Some((at, z)) = reached {
+            let reached = |slack: f64| {
+                offsets.iter().find_map(|(di, dj, _)| {
+                    let i = cell[0].checked_add_signed(*di as isize)?;
+                    let j = cell[1].checked_add_signed(*dj as isize)?;
+                    let inside = i < l.n[0] && j < l.n[1];
+                    let rho = (l.uv([i, j]).distance(*uv) - slack).max(0.0);
+                    let z = height + slack as f32 - tool.active_lower_surface(rho) as f32;
+                    let at = l.index([i, j]);
+                    (inside && free[at] <= z).then_some((at, z))
+                })
+            };
+            // The plan takes a voxel for the middle of its cell.
+            if let Some((at, z)) = reached(0.0).or_else(|| reached(f64::from(h) / 2.0)) {
                 let z = free[at].max(z - 0.25 * h);
                 need[at] = need[at].min(z);
+                // From just beside the region the edge meets none of it by the lattice.
+                ceiling[at] = ceiling[at].max(height + h);
             }
         }
         let near = self.near()?;
-        let ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
         self.levels(&need, &ceiling, &near)
     }
 
