@@ -7,7 +7,7 @@
 //! ```text
 //! outline = (S(M*) ∪ aside) ∩ (¬S(M) ∪ back) ∩ (grown − other)
 //! aside   = voxels of the block outside M*, outlined: supports
-//! back    = voxels of the block inside M, outlined
+//! back    = voxels of the block inside M, or at a surface of M that was cut away, outlined
 //! grown   = voxels of the block, outlined, grown by REACH
 //! other   = voxels of other blocks next to it, outlined
 //! ```
@@ -52,6 +52,10 @@ impl<'a> Piece<'a> {
         other.intersect_with(&near);
         other.subtract(region);
         let slices = |grid: Cow<'a, BitGrid>| Slices::new(grid, work.frame, lattice);
+        // The mesh reaches up to a voxel farther than its voxels; where those are gone that is, too.
+        let gone = job.initial.minus(work.before);
+        let standing = job.initial.and(work.before);
+        let surface = gone.grown().minus(&standing.grown());
         Piece {
             frame: work.frame,
             region: slices(Cow::Borrowed(region)),
@@ -59,7 +63,7 @@ impl<'a> Piece<'a> {
             initial: Sections::new(&job.initial_mesh, plane),
             alone: *region == job.target,
             aside: slices(Cow::Owned(region.minus(&job.target))),
-            back: slices(Cow::Owned(region.and(&job.initial))),
+            back: slices(Cow::Owned(region.and(&job.initial.or(&surface)))),
             other: slices(Cow::Owned(other)),
         }
     }

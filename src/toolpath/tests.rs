@@ -364,3 +364,34 @@ fn supports_get_beads_though_no_mesh_has_a_section_there() {
     // As many layers as the tower has.
     assert_eq!((beads(4.0, 10.0), beads(15.0, 18.0)), (30, 30));
 }
+
+/// The meshes end above the middle of the last layer of voxels that was cut away: those voxels stand
+/// for what of the mesh is over them, too. A layer there had no beads, and the next one fed for two.
+#[test]
+fn what_was_cut_away_is_printed_up_to_the_meshes_own_face() {
+    let plate: Part = |p| p.z < 4.0 && p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0;
+    let cut: Part = |p| p.x > 8.0;
+    let back: Part = |p| {
+        let tower = p.x > 12.0 && p.x < 20.0 && p.y > 6.0 && p.y < 14.0 && p.z < 8.0;
+        let plate = p.z < 4.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0;
+        p.x > 8.0 && (plate || tower)
+    };
+    let size = DVec3::new(24.0, 20.0, 12.0);
+    let steps = [(StepKind::Subtractive, DVec3::Z, cut), (StepKind::Additive, DVec3::Z, back)];
+    let mut w = world("generic-5axis", 0.5, size, plate, &steps);
+    let cuboid = |lo: [f64; 3], hi: [f64; 3]| TriMesh::cuboid(lo.into(), hi.into());
+    w.job.initial_mesh = cuboid([2.0, 2.0, 0.0], [22.0, 18.0, 4.2]);
+    let tower = cuboid([12.0, 6.0, 0.0], [20.0, 14.0, 8.0]);
+    let first = w.job.initial_mesh.vertices().len() as u32;
+    let mut points = w.job.initial_mesh.vertices().to_vec();
+    points.extend(tower.vertices());
+    let mut triangles = w.job.initial_mesh.triangles().to_vec();
+    triangles.extend(tower.triangles().iter().map(|t| t.map(|v| v + first)));
+    w.job.target_mesh = TriMesh::new(points, triangles).unwrap();
+    let path = &paths(&w)[1];
+    let beads = path.moves.iter().filter(|m| m.kind == MoveKind::Deposit);
+    let heights: BTreeSet<i64> = beads.map(|m| (m.tip.z * 1e3).round() as i64).collect();
+    let steps: BTreeSet<i64> =
+        heights.iter().zip(heights.iter().skip(1)).map(|(a, b)| b - a).collect();
+    assert_eq!((heights.len(), steps), (40, BTreeSet::from([200])));
+}
