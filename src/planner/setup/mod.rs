@@ -32,12 +32,13 @@
 //! - Placements that reuse far less than the best found do not compete, whatever their Score₂.
 //! - Min_B leaves out a speck of the interface, which would decide it by the grid alone.
 //!
-//! Guarantees: the same answer at any thread count; the target's lowest point is on z = 0; of
-//! equal poses that of the files wins. Not guaranteed: the best of all poses, or that the plan
+//! Guarantees: the same answer at any thread count; the target's lowest point is on z = 0, to a
+//! micrometre; of equal poses that of the files wins. Not guaranteed: the best of all poses, or that the plan
 //! reuses what the pose allows. A mesh whose triangles face at random has no Area(T) to speak of.
 //! Millimetres and radians; the target stands in the pose of its file when it comes in.
 
 mod measure;
+mod pose;
 mod rotations;
 mod stance;
 #[cfg(test)]
@@ -48,6 +49,7 @@ use crate::machine::HoldingMode;
 use crate::mesh::TriMesh;
 use crate::planner::PlanError;
 use measure::{Measured, Pair, Sampling};
+pub use pose::{PosedSetup, search_poses};
 use rayon::prelude::*;
 use stance::Stance;
 use std::ops::Range;
@@ -102,6 +104,11 @@ const MOST_MOVES: usize = 4;
 /// micrometre, the search only to its grid: without this, a part would be skimmed all over for a
 /// tenth of a millimetre. Much more would keep poses that are worth leaving.
 const FILE_POSE_WORTH: f64 = 0.01;
+
+/// A part that stands this close to the base in its file stands on it, mm: files round their
+/// coordinates, no machine is set up finer, and moved by that much it would only come to lie otherwise
+/// on the grid.
+const ROUNDING_MM: f64 = 1e-3;
 
 /// What Score₂ must gain for a move. Below, the staircase of the grid moves an aligned part; far
 /// above, half a per cent of the extent stays unrefined.
@@ -279,9 +286,7 @@ fn families(problem: &Problem, spread: usize, anchor: DVec2, grip_mm: f64) -> Ve
     let Problem { initial, target } = problem;
     let (middle, centroid) = (initial.bounds().center().truncate(), initial.centroid().truncate());
     let own_centroid = target.centroid();
-    let same_face = |r: &DMat3| r.transpose().z_axis.z > 1.0 - 1e-3;
-    let mut upright = vec![DMat3::IDENTITY];
-    upright.extend(rotations::resting(target, RESTING).into_iter().filter(|r| !same_face(r)));
+    let upright = rotations::upright(target, RESTING);
     let resting = upright.par_iter().map(|r| {
         let first = Stance::new(target, *r, grip_mm);
         let headings = (0..HEADINGS).map(|i| {
@@ -508,8 +513,10 @@ impl Trial {
     }
 
     fn candidate(&self, anchor: DVec2) -> Candidate {
+        let transform = self.stance.standing_at(self.at);
+        let stands = self.is_file_pose && transform.translation.length() < ROUNDING_MM;
         Candidate {
-            transform: self.stance.standing_at(self.at),
+            transform: if stands { DAffine3::IDENTITY } else { transform },
             shift: self.at - anchor,
             score_coarse: self.score_coarse,
             score_fine: self.score_fine,

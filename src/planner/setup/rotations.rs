@@ -97,6 +97,15 @@ pub(super) fn resting(mesh: &TriMesh, most: usize) -> Vec<DMat3> {
     found.into_iter().take(most).map(|(_, n)| onto(n.vec(), DVec3::NEG_Z)).collect()
 }
 
+/// As the part stands, then on the other faces it can rest on, at most `most` of these.
+pub(super) fn upright(mesh: &TriMesh, most: usize) -> Vec<DMat3> {
+    const SAME: f64 = 1e-3;
+    let is_other = |r: &DMat3| r.transpose().z_axis.z <= 1.0 - SAME;
+    let mut all = vec![DMat3::IDENTITY];
+    all.extend(resting(mesh, most).into_iter().filter(is_other));
+    all
+}
+
 fn is_one_face(a: DVec3, b: DVec3) -> bool {
     a.dot(b) >= FACE_ANGLE_DEG.to_radians().cos()
 }

@@ -46,6 +46,17 @@ fn the_same_part_twice_stays_where_it_is() {
     );
 }
 
+/// Moved by what a file rounds off, a real bracket lay otherwise on the grid, and its plan left a voxel.
+#[test]
+fn what_a_file_rounds_off_moves_nothing() {
+    let part = stepped();
+    let target = moved(&part, DMat3::IDENTITY, DVec3::new(0.0, 0.0, -8e-6));
+    assert_eq!(found(&part, &target).winner.transform, DAffine3::IDENTITY);
+    let sunk = moved(&part, DMat3::IDENTITY, DVec3::new(0.0, 0.0, -8e-2));
+    let back = found(&part, &sunk).winner.transform.translation;
+    assert!((back - DVec3::new(0.0, 0.0, 8e-2)).length() < 1e-9, "{back}");
+}
+
 #[test]
 fn a_quarter_turn_and_a_shift_are_undone_exactly() {
     let part = stepped();
@@ -195,4 +206,29 @@ proptest! {
         let most = report.best.iter().map(|c| c.reused_share).fold(0.0, f64::max);
         prop_assert!(report.winner.reused_share >= LEAST_SHARE * most, "{:?}", report);
     }
+}
+
+/// A block on a stub. Standing on the stub, next to nothing of a block-like target is inside; on the
+/// block's own face all of it is.
+#[test]
+fn the_initial_part_is_laid_on_the_face_where_most_is_reused() {
+    let stub = union(&[
+        TriMesh::cuboid(DVec3::new(18.0, 12.0, 0.0), DVec3::new(42.0, 28.0, 20.0)),
+        TriMesh::cuboid(DVec3::new(0.0, 0.0, 20.0), DVec3::new(60.0, 40.0, 40.0)),
+    ]);
+    let target = TriMesh::cuboid(DVec3::ZERO, DVec3::new(56.0, 36.0, 18.0));
+    let options = SetupOptions { rotations: 10, carried: 2, ..SetupOptions::default() };
+    let kept = search(&stub, &target, &options, &Ctx::quiet()).unwrap();
+    let posed = search_poses(&stub, &target, &options, &Ctx::quiet()).unwrap();
+    assert!(kept.winner.reused_share < 0.6, "{kept:?}");
+    assert!(posed.report.winner.reused_share > 0.99, "{posed:?}");
+    assert!(posed.pose > 0 && posed.poses > 1 && posed.note().contains("another face"));
+    let lain = stub.transformed(&posed.initial).unwrap();
+    assert!(lain.bounds().min.z.abs() < 1e-9, "{:?}", lain.bounds());
+    // The wide end is down.
+    let top = lain.vertices().iter().filter(|v| v.z > lain.bounds().max.z - 1e-6);
+    assert!(Aabb::of(top.copied()).size().truncate().element_product() < 24.0 * 16.0 + 1e-6);
+    // From there on no other pose is better.
+    let again = search_poses(&lain, &target, &options, &Ctx::quiet()).unwrap();
+    assert_eq!((again.pose, again.initial), (0, DAffine3::IDENTITY));
 }
