@@ -39,7 +39,7 @@ pub fn run(args: &AnalyzeArgs, output: &OutputArgs) -> Result<Exit, Failure> {
     part.place(&DAffine3::from_mat3(args.up.to_z()));
     let placed = part.placed()?;
     let pitch = args.resolution.unwrap_or_else(|| tool.default_pitch(&placed));
-    let frame = inputs::frame(None, &placed, Some(pitch), &[])?;
+    let frame = inputs::frame(None, &placed, Some(pitch), &[], 0.0)?;
     let solid = inputs::solid(&part, &placed, &frame, &ctx)?;
     let tool = tool.at_pitch(pitch)?;
     let analysis = analyse(&part, &frame, &solid, &tool, &directions, overhang, &ctx)?;

@@ -94,8 +94,14 @@ pub struct PlanArgs {
     #[arg(long, value_enum, default_value_t = SetupScoreArg::Both, help_heading = "Search")]
     pub setup_score: SetupScoreArg,
     /// Best placements of the setup search that planner reman plans in full; the best plan is kept
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=11))]
-    pub setup_candidates: u32,
+    /// [default: one, and where its plan keeps less than half of what both parts have in common,
+    /// another of the next four]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=11))]
+    pub setup_candidates: Option<u32>,
+    /// Leave the initial part as it lies in its file, or let the setup search lay it on another of
+    /// the faces it can rest on, which takes as long again for each of them
+    #[arg(long, value_enum, default_value_t = InitialPose::Keep)]
+    pub initial_pose: InitialPose,
     /// Rounds of cuts and then deposits of planner reman: what a round leaves gets one more, as
     /// long as that leaves less
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10))]
@@ -103,6 +109,10 @@ pub struct PlanArgs {
     /// How far a printing base may be concave and still get no clipping plane of planner reman, mm
     #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = not_negative)]
     pub base_tolerance: f64,
+    /// Let planner reman print an allowance of so many mm that a finishing cut takes off again
+    #[arg(long, value_name = "MM", num_args = 0..=1, require_equals = true,
+          default_missing_value = "0.5", value_parser = positive)]
+    pub finish: Option<f64>,
     /// Whether planner reman prints on supports, to be cut away again, what nothing else carries
     #[arg(long, value_enum, default_value_t = SupportsArg::Auto)]
     pub supports: SupportsArg,
@@ -450,6 +460,12 @@ pub enum ObjectiveArg {
 pub enum Setup {
     Search,
     Keep,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum InitialPose {
+    Keep,
+    Search,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

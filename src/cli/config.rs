@@ -1,7 +1,7 @@
 //! From flags to a resolved configuration: everything a plan depends on, checked, before any part
 //! is read.
 
-use super::args::{self, Axis, PlanArgs, Planner, Setup, Unit, UnitArgs};
+use super::args::{self, Axis, InitialPose, PlanArgs, Planner, Setup, Unit, UnitArgs};
 use super::exit::Failure;
 use super::profiles;
 use hmplan::base::DMat3;
@@ -9,6 +9,9 @@ use hmplan::machine::{BaseKind, HoldingMode, Machine, Taken, Tool, ToolKind};
 use hmplan::plan::{Command, SearchCommand};
 use hmplan::planner::{hybrid, nullify, reman, setup};
 use std::path::{Path, PathBuf};
+
+/// Placements that are looked at where no number is asked for (W2V Sec. 5 carries five).
+pub const LOOKED_AT: usize = 5;
 
 /// One part as it is to be read.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,8 +48,11 @@ pub struct PlanConfig {
     /// What planner reman is told.
     pub reman: reman::Options,
     pub setup_score: setup::Score,
-    /// Placements that are planned, the best first.
-    pub setup_candidates: usize,
+    /// Placements that are planned in full; None: the best, and of the next [`LOOKED_AT`] one if
+    /// its plan keeps little.
+    pub setup_candidates: Option<usize>,
+    /// Whether the initial part may be laid on another of its faces.
+    pub initial_pose_search: bool,
     pub time_limit_s: Option<f64>,
     pub seed: u64,
     pub post_unverified: bool,
@@ -99,6 +105,7 @@ impl PlanConfig {
             iterations: self.reman.iterations,
             time_limit_s: self.time_limit_s,
             post_unverified: self.post_unverified,
+            finish_mm: self.reman.finish_mm,
         }
     }
 }
@@ -172,6 +179,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
             iterations: args.iterations as usize,
             rounds: args.rounds as usize,
             base_tolerance_mm: args.base_tolerance,
+            finish_mm: args.finish.unwrap_or(0.0),
             supports: args.supports == args::SupportsArg::Auto,
             search: match args.search {
                 args::SearchArg::Mcts => reman::Search::Mcts,
@@ -193,6 +201,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
             args::SetupScoreArg::Base => setup::Score::Base,
         },
         setup_candidates: candidates(args, nullified)?,
+        initial_pose_search: initial_pose_search(args, initial.is_some())?,
         time_limit_s: args.time_limit,
         seed: args.seed,
         post_unverified: args.post_unverified,
@@ -254,6 +263,7 @@ fn reman_alone(args: &PlanArgs, nullified: bool) -> Result<(), Failure> {
     let asked = [
         ("--rounds", args.rounds > 1),
         ("--base-tolerance", args.base_tolerance > 0.0),
+        ("--finish", args.finish.is_some()),
         ("--supports", args.supports != args::SupportsArg::Auto),
     ];
     let other = nullified || args.planner == Some(Planner::Search);
@@ -267,17 +277,33 @@ fn reman_alone(args: &PlanArgs, nullified: bool) -> Result<(), Failure> {
 
 /// # Errors
 /// Several placements asked for where none is searched, or of a planner that takes one.
-fn candidates(args: &PlanArgs, nullified: bool) -> Result<usize, Failure> {
+fn candidates(args: &PlanArgs, nullified: bool) -> Result<Option<usize>, Failure> {
     let reman = !nullified && args.planner != Some(Planner::Search);
     match args.setup_candidates {
-        1 => Ok(1),
+        None if reman => Ok(None),
+        None | Some(1) => Ok(Some(1)),
         _ if !reman => Err(Failure::input(
             "--setup-candidates goes with planner reman; the others plan one placement",
         )),
         _ if args.setup == Setup::Keep => Err(Failure::input(
             "--setup keep leaves no placement to choose; leave out --setup-candidates",
         )),
-        n => Ok(n as usize),
+        n => Ok(n.map(|n| n as usize)),
+    }
+}
+
+/// # Errors
+/// Another pose of the initial part asked for where there is none to choose.
+fn initial_pose_search(args: &PlanArgs, has_initial: bool) -> Result<bool, Failure> {
+    match args.initial_pose {
+        InitialPose::Keep => Ok(false),
+        InitialPose::Search if !has_initial => Err(Failure::input(
+            "--initial-pose search goes with an initial part, but only a target was given",
+        )),
+        InitialPose::Search if args.setup == Setup::Keep => Err(Failure::input(
+            "--setup keep keeps both parts where they are; leave out --initial-pose search",
+        )),
+        InitialPose::Search => Ok(true),
     }
 }
 

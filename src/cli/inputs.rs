@@ -141,17 +141,19 @@ pub fn default_pitch(bounds: &Aabb, tools: &[Tool]) -> f64 {
     ((pitch * 1000.0).floor() / 1000.0).max(0.001)
 }
 
-/// The grid that holds both parts.
+/// The grid that holds both parts, with so many millimetres to spare around them.
 pub fn frame(
     initial: Option<&TriMesh>,
     target: &TriMesh,
     pitch: Option<f64>,
     tools: &[Tool],
+    spare_mm: f64,
 ) -> Result<Frame, Failure> {
     let target = target.bounds();
     let bounds = initial.map_or(target, |i| i.bounds().union(target));
     let pitch = pitch.unwrap_or_else(|| default_pitch(&bounds, tools));
-    Frame::around(bounds, pitch, MARGIN).map_err(Failure::input)
+    Frame::around(bounds, pitch, MARGIN + (spare_mm / pitch).ceil() as usize)
+        .map_err(Failure::input)
 }
 
 /// One part as a solid.
@@ -202,10 +204,11 @@ impl Grids {
         target: &Part,
         pitch: Option<f64>,
         tools: &[Tool],
+        spare_mm: f64,
         ctx: &Ctx,
     ) -> Result<Grids, Failure> {
         let target_mesh = target.placed()?;
-        let frame = frame(initial.map(|i| &i.1), &target_mesh, pitch, tools)?;
+        let frame = frame(initial.map(|i| &i.1), &target_mesh, pitch, tools, spare_mm)?;
         let initial = initial.map(|(part, mesh)| solid(part, mesh, &frame, ctx)).transpose()?;
         let target = solid(target, &target_mesh, &frame, ctx)?;
         let initial = initial.unwrap_or_else(|| BitGrid::new(frame.dims));

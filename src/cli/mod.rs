@@ -10,6 +10,7 @@ mod inputs;
 mod output;
 mod paint;
 mod pipeline;
+mod placing;
 mod plan;
 mod keys;
 mod profiles;

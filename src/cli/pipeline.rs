@@ -1,14 +1,14 @@
 //! The stages between the job and the files, as the command line calls them: setup, planner,
 //! posting, program check. Each turns the library's answer into what is reported.
 
-use super::config::PlanConfig;
+use super::config::{LOOKED_AT, PlanConfig};
 use super::exit::Failure;
 use super::plan::{Clock, digest};
-use hmplan::base::Ctx;
+use hmplan::base::{Ctx, DAffine3};
 use hmplan::gcode::{self, CheckReport, Deviation, PostError, Program};
 use hmplan::mesh::TriMesh;
 use hmplan::plan::{Job, Plan, PlanFile, Schedule};
-use hmplan::planner::setup::{SetupOptions, SetupReport};
+use hmplan::planner::setup::{PosedSetup, SetupOptions};
 use hmplan::planner::{PlanError, hybrid, nullify, reman, setup};
 use hmplan::report::{PlannerFigures, RuleLine};
 use hmplan::toolpath::{self, ToolpathError, Toolpaths};
@@ -40,21 +40,26 @@ pub struct Planned {
     pub standing: reman::Standing,
 }
 
-/// Searches the place of the target in the initial part, both standing.
+/// Searches the place of the target in the initial part, both standing, and the initial part's pose
+/// where that is asked for.
 pub fn search_setup(
     initial: &TriMesh,
     target: &TriMesh,
     config: &PlanConfig,
     ctx: &Ctx,
-) -> Result<SetupReport, Failure> {
+) -> Result<PosedSetup, Failure> {
     let mut options = SetupOptions {
         holding: config.rules.holding,
         score: config.setup_score,
-        refined: config.setup_candidates,
+        refined: config.setup_candidates.unwrap_or(LOOKED_AT),
         ..SetupOptions::default()
     };
     options.grip_mm = config.rules.grip_mm.unwrap_or(options.grip_mm);
-    setup::search(initial, target, &options, ctx).map_err(failure)
+    if config.initial_pose_search {
+        return setup::search_poses(initial, target, &options, ctx).map_err(failure);
+    }
+    let report = setup::search(initial, target, &options, ctx).map_err(failure)?;
+    Ok(PosedSetup { initial: DAffine3::IDENTITY, report, poses: 1, pose: 0 })
 }
 
 /// Plans with the planner asked for.
@@ -143,7 +148,8 @@ fn nullified(
     Ok(Planned { plan, figures, schedule, trace: None, standing: Default::default() })
 }
 
-fn failure(e: PlanError) -> Failure {
+/// What a planner's error is to the command.
+pub fn failure(e: PlanError) -> Failure {
     match e {
         PlanError::Cancelled => Failure::Interrupted,
         e => Failure::input(e),

@@ -1,21 +1,15 @@
 //! `hmplan plan`: read, place, voxelise, plan, judge, post, write.
 
-use super::args::{OutputArgs, Setup};
+use super::args::OutputArgs;
 use super::config::PlanConfig;
 use super::exit::{Exit, Failure};
-use super::inputs::{self, Grids, Part};
 use super::output::{self, Destination};
-use super::pipeline;
-use super::{progress, summary};
-use hmplan::base::{Ctx, DAffine3, DVec3};
-use hmplan::machine::{Holding, Taken, Tool};
-use hmplan::mesh::TriMesh;
+use super::placing::{Made, Prepared, best_of, load, places};
+use super::{inputs, pipeline, progress, summary};
+use hmplan::base::Ctx;
 use hmplan::plan::{
-    Inputs, Job, Plan, PlanFile, ProgramRecord, Rules, SCHEMA, Seconds, StepKind, Summary,
-    end_state,
+    Job, Plan, PlanFile, ProgramRecord, SCHEMA, Seconds, StepKind, Summary, end_state,
 };
-use hmplan::planner::reman;
-use hmplan::planner::setup::Candidate;
 use hmplan::report;
 use hmplan::verify::verify;
 use hmplan::voxel::{BitGrid, Skin};
@@ -179,198 +173,6 @@ pub fn context(output: &OutputArgs, limit: Option<f64>, seed: u64) -> Result<Ctx
     Ok(Ctx::new(cancel, deadline, progress::fitting(output), seed))
 }
 
-/// The parts as they stand.
-struct Parts {
-    initial: Option<(Part, TriMesh)>,
-    target: Part,
-}
-
-fn load(config: &PlanConfig, clock: &mut Clock) -> Result<Parts, Failure> {
-    let (mut initial, mut target) = clock.time("load", || -> Result<_, Failure> {
-        Ok((config.initial.as_ref().map(Part::read).transpose()?, Part::read(&config.target)?))
-    })?;
-    for part in initial.iter().chain([&target]) {
-        for warning in &part.record.warnings {
-            tracing::warn!("{}: {warning}", part.record.path);
-        }
-    }
-    let mut standing: Vec<_> =
-        initial.iter_mut().zip(&config.initial).map(|(p, c)| (p, c.up)).collect();
-    standing.push((&mut target, config.target.up));
-    inputs::stand(&mut standing)?;
-    let placed = |part: Part| part.placed().map(|mesh| (part, mesh));
-    Ok(Parts { initial: initial.map(placed).transpose()?, target })
-}
-
-/// A place of the target, and what to say of it.
-#[derive(Clone)]
-struct Place {
-    motion: DAffine3,
-    note: Option<String>,
-    reused_share: f64,
-}
-
-/// Where the target may stand, the best place first: as in its file, or as the setup search finds.
-fn places(
-    parts: &mut Parts,
-    config: &PlanConfig,
-    ctx: &Ctx,
-    clock: &mut Clock,
-) -> Result<Vec<Place>, Failure> {
-    let (Some((_, initial_mesh)), Setup::Search) = (&parts.initial, config.setup) else {
-        let kept = parts.target.record.plan_from_part().unwrap_or(DAffine3::IDENTITY);
-        return Ok(vec![Place { motion: kept, note: None, reused_share: 0.0 }]);
-    };
-    let turned = DAffine3::from_mat3(config.target.up.to_z());
-    parts.target.place(&turned);
-    let standing = parts.target.placed()?;
-    let found =
-        clock.time("setup", || pipeline::search_setup(initial_mesh, &standing, config, ctx))?;
-    let place = |c: &Candidate| Place {
-        motion: c.transform * turned,
-        note: Some(found.note(c)),
-        reused_share: c.reused_share,
-    };
-    Ok([&found.winner].into_iter().chain(&found.others).map(place).collect())
-}
-
-/// A plan, and what it was made for.
-struct Made {
-    prepared: Prepared,
-    planned: pipeline::Planned,
-    notes: Vec<String>,
-}
-
-/// Plans every place, as long as there is time, and keeps the best plan.
-fn best_of(
-    parts: &mut Parts,
-    places: &[Place],
-    config: &PlanConfig,
-    ctx: &Ctx,
-    clock: &mut Clock,
-) -> Result<Made, Failure> {
-    let plan_at = |parts: &mut Parts, place: &Place, clock: &mut Clock| -> Result<_, Failure> {
-        let mut notes: Vec<String> = place.note.clone().into_iter().collect();
-        let mut prepared = prepare(parts, place, config, ctx, clock)?;
-        if config.setup == Setup::Search && config.is_reman() {
-            let looked = || reman::shift_off_hidden(&prepared.job, &config.reman, ctx);
-            if let Some(shift) = clock.time("setup", looked)? {
-                let by = DVec3::from_array(shift.map(|n| n as f64 * prepared.job.frame.pitch));
-                let motion = DAffine3::from_translation(by) * place.motion;
-                prepared = prepare(parts, &Place { motion, ..place.clone() }, config, ctx, clock)?;
-                notes.push(format!(
-                    "The target was moved on by ({:.2}, {:.2}, {:.2}) mm, so that the reused \
-                     volume hides nothing of what is printed.",
-                    by.x, by.y, by.z
-                ));
-            }
-        }
-        let planned = pipeline::plan(&prepared.job, config, ctx, clock)?;
-        let standing = planned.standing;
-        Ok((Made { prepared, planned, notes }, standing))
-    };
-    let told = |i: usize, place: &Place, s: &reman::Standing| {
-        let how = match s.class {
-            0 => format!("a complete plan that gives up {:.1} mm³", s.mm3),
-            1 => format!("{:.1} mm³ given up and, ten times, left", s.mm3),
-            _ => format!("{:.1} mm³ left, more than the rules allow", s.mm3),
-        };
-        let share = 100.0 * place.reused_share;
-        format!("Placement {} of {}, {share:.1} % inside: {how}.", i + 1, places.len())
-    };
-    let Some((first, others)) = places.split_first() else {
-        return Err(Failure::input("the setup search found no placement"));
-    };
-    let (mut best, mut standing) = plan_at(parts, first, clock)?;
-    let mut lines = vec![told(0, first, &standing)];
-    for (i, place) in others.iter().enumerate() {
-        if ctx.out_of_time() {
-            lines.push("The time limit came before the other placements.".into());
-            break;
-        }
-        let (made, s) = plan_at(parts, place, clock)?;
-        lines.push(told(i + 1, place, &s));
-        if s < standing {
-            (best, standing) = (made, s);
-        }
-    }
-    if !others.is_empty() {
-        best.notes.extend(lines);
-    }
-    Ok(best)
-}
-
-/// What there is before planning begins.
-struct Prepared {
-    job: Job,
-    inputs: Inputs,
-}
-
-fn prepare(
-    parts: &mut Parts,
-    place: &Place,
-    config: &PlanConfig,
-    ctx: &Ctx,
-    clock: &mut Clock,
-) -> Result<Prepared, Failure> {
-    let tools: Vec<Tool> = config.cutters.iter().chain(&config.nozzles).cloned().collect();
-    let mut sampled = |motion: &DAffine3| {
-        parts.target.place(motion);
-        let (initial, pitch) = (parts.initial.as_ref(), config.resolution_mm);
-        clock.time("voxelise", || Grids::of(initial, &parts.target, pitch, &tools, ctx))
-    };
-    let mut grids = sampled(&place.motion)?;
-    // What is made voxel by voxel stands on the base with voxels. A place found by search may put
-    // a tip on it that is finer than these; whole voxels lower, the solid is the same.
-    let gap_mm = inputs::gap_mm(&grids.target, &grids.frame);
-    if config.nullify.is_some() && config.setup == Setup::Search && gap_mm > 0.0 {
-        let lower = DAffine3::from_translation(DVec3::Z * -gap_mm) * place.motion;
-        grids = sampled(&lower)?;
-    }
-    let Grids { frame, initial: initial_solid, target: target_solid, target_mesh } = grids;
-    let (initial, target) = (parts.initial.as_ref(), &parts.target);
-    let (mut cutters, mut nozzles) = (config.cutters.clone(), config.nozzles.clone());
-    if let Some(options) = &config.nullify {
-        cutters = vec![Tool::inv_cutter(frame.pitch, options.length)];
-        nozzles = vec![Tool::inv_nozzle(frame.pitch)];
-    }
-    for tools in [&mut cutters, &mut nozzles] {
-        tools.retain(|t| match t.taken {
-            Taken::Always => true,
-            Taken::FineGrids => t.is_round_at(frame.pitch),
-            // Planner search weighs all its tools against each other at every step.
-            Taken::LastResort => config.search.is_none(),
-        });
-    }
-    let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&nozzles));
-    rules.holding = config.rules.holding;
-    rules.base = config.rules.base;
-    rules.tolerance_mm = config.rules.tolerance_mm.unwrap_or(rules.tolerance_mm);
-    rules.grip_mm = config.rules.grip_mm.unwrap_or(rules.grip_mm);
-    rules.deviation = config.search.as_ref().map_or(rules.deviation, |s| s.delta);
-    let mut machine = config.machine.clone();
-    if config.find_place {
-        let contact = Holding::AS_CLAMPED.contact(&target_solid, &frame, rules.grip_mm);
-        let sum: DVec3 = contact.iter_ones().map(|v| frame.center(v)).sum();
-        let foot = sum / contact.count().max(1) as f64;
-        machine.workholding.place = machine.find_place(frame.bounds(), foot);
-    }
-    let job = Job {
-        frame,
-        initial: initial_solid,
-        target: target_solid,
-        initial_mesh: initial.map(|i| i.1.clone()).unwrap_or_default(),
-        target_mesh,
-        machine,
-        cutters,
-        nozzles,
-        rules,
-    };
-    let inputs =
-        Inputs { initial: initial.map(|i| i.0.record.clone()), target: target.record.clone() };
-    Ok(Prepared { job, inputs })
-}
-
 /// States written at most; of longer plans every n-th. All of them together have no more voxels
 /// than this: a surface of millions of triangles for each would fill a disk.
 const MOST_STATES: usize = 200;
@@ -448,9 +250,4 @@ fn peak_memory_mib() -> Option<f64> {
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
     let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some((kib / 1024.0 * 10.0).round() / 10.0)
-}
-
-/// The thinnest layer of the nozzles used, mm: how deep any of them may ride into its own layer.
-fn layer_mm(nozzles: &[Tool]) -> f64 {
-    nozzles.iter().map(|t| t.process.layer_mm).fold(f64::INFINITY, f64::min)
 }

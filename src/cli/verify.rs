@@ -198,7 +198,8 @@ fn rebuild(dir: &Path, file: &PlanFile, ctx: &Ctx) -> Result<Job, Failure> {
     let pitch = Some(file.grid.pitch);
     // Made again rather than taken: a grid that misses a part, or is far larger, is no grid of
     // this plan.
-    let frame = inputs::frame(initial_mesh.as_ref(), &target_mesh, pitch, &file.tools)?;
+    let spare_mm = file.command.finish_mm;
+    let frame = inputs::frame(initial_mesh.as_ref(), &target_mesh, pitch, &file.tools, spare_mm)?;
     if frame != file.grid {
         return Err(Failure::Altered(format!(
             "the grid in {PLAN} is not the one its inputs and pitch make"

@@ -67,6 +67,14 @@ pub struct Command {
     pub search: Option<SearchCommand>,
     /// Whether a program is written for a plan that does not verify.
     pub post_unverified: bool,
+    /// Allowance on what is printed that a finishing cut takes off, mm, by which the grid is wider;
+    /// absent for none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub finish_mm: f64,
+}
+
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
 }
 
 /// Options of planner search.

@@ -42,6 +42,7 @@ fn example() -> PlanFile {
             time_limit_s: None,
             search: None,
             post_unverified: false,
+            finish_mm: 0.0,
         },
         inputs: Inputs { initial: Some(input("a.stl")), target: input("b.stl") },
         grid,

@@ -24,6 +24,11 @@ pub enum PlanError {
          check the part, or give --setup keep"
     )]
     Unmeasurable { which: &'static str, pitch_mm: f64 },
+    #[error(
+        "an allowance of {finish_mm} mm for the finishing cut is thinner than a voxel of {pitch_mm} mm; give --finish \
+         more, or a finer --resolution"
+    )]
+    ThinAllowance { finish_mm: f64, pitch_mm: f64 },
     #[error("no {kind} tool: the machine has none and none was named")]
     NoTool { kind: &'static str },
     #[error(transparent)]

@@ -127,7 +127,8 @@ pub fn choose(
     report.notes.clear();
     if !found.uncovered.is_empty() {
         report.notes.push(format!(
-            "{} of {} regions lie beside the base contact and no clipping plane clears them",
+            "{} of {} regions that ask for a clipping plane reach down to where the part is held: no \
+             plane gives them up and leaves it standing.",
             found.uncovered.len(),
             elements.len()
         ));

@@ -36,6 +36,8 @@
 //!   is printed on supports, and both are cut at the end, with slender tools if need be, if that
 //!   leaves less (`last_resort`); of large parts at once, where a coarse look says that the rules'
 //!   deviation cannot be met without. The paper does without supports, to save their material.
+//! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
+//!   paper names a finishing cut as future work.
 //! - A placement found by search is moved on by a voxel or two where the reused volume would hide a
 //!   little of what is to be printed (`hidden`).
 //! - With a second holding, planes that leave the part on its base are looked at beside all others:
@@ -53,6 +55,8 @@ mod clip;
 mod coarse;
 mod compared;
 mod cutting;
+mod finish;
+mod glance;
 mod global;
 mod hidden;
 mod last_resort;
@@ -77,19 +81,22 @@ use crate::machine::HoldingMode;
 use crate::plan::{Job, Plan, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::{PrintingBase, Volumes, printing_bases};
+pub use glance::glance;
 pub use hidden::shift_off_hidden;
 
 use candidates::{Admissible, Element};
 use clip::Clip;
 use coarse::Coarse;
 use compared::{bottom_up, top_down};
+use finish::finished;
 use global::{choose, global_route, most_promising};
 use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
 use report::Clock;
 pub use report::Report;
-use round::{Attempt, deep, volumes};
+use round::{Attempt, RESIDUAL_WEIGHT, deep, volumes};
 use setting::Setting;
+use std::cmp::Ordering;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -105,6 +112,8 @@ pub struct Options {
     pub supports: bool,
     /// How far a printing base may be concave, mm, and still get no clipping plane.
     pub base_tolerance_mm: f64,
+    /// Allowance on what is printed that cutters take off again, mm; 0 for none.
+    pub finish_mm: f64,
     pub seed: u64,
 }
 
@@ -144,19 +153,37 @@ impl Default for Options {
             rounds: 1,
             supports: true,
             base_tolerance_mm: 0.0,
+            finish_mm: 0.0,
             seed: 0,
         }
     }
 }
 
-/// Of two plans of the same parts the lesser is the better one: complete before within the rules'
-/// deviation before neither.
-#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
+/// How a plan stands beside others of the same parts: of two the lesser is the better one, complete
+/// before within the rules' deviation before neither.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Standing {
     /// 0 complete, 1 within the rules, 2 neither.
     pub class: u8,
-    /// What is given up and, ten times, what is left; of a plan of the last class what is left, mm³.
-    pub mm3: f64,
+    /// Volume of the target that is not reused, mm³.
+    pub given_up_mm3: f64,
+    /// Volume left standing or missing, mm³.
+    pub left_mm3: f64,
+}
+
+impl Standing {
+    /// What is given up and, [`RESIDUAL_WEIGHT`] times, what is left, mm³.
+    pub fn loss_mm3(&self) -> f64 {
+        self.given_up_mm3 + RESIDUAL_WEIGHT as f64 * self.left_mm3
+    }
+}
+
+impl PartialOrd for Standing {
+    /// Of those that are neither the one that leaves less, of all others the one that loses less.
+    fn partial_cmp(&self, other: &Standing) -> Option<Ordering> {
+        let key = |s: &Standing| (s.class, if s.class < 2 { s.loss_mm3() } else { s.left_mm3 });
+        key(self).partial_cmp(&key(other))
+    }
 }
 
 /// A round of global planes that leaves more than this share of the target is the last: on real
@@ -201,7 +228,7 @@ struct Run<'a> {
 
 /// Plans the job; what could not be reached is left for the verifier to measure.
 pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), PlanError> {
-    check(job)?;
+    check(job, options)?;
     let setting = Setting::new(job);
     let (first, mut report) = one_round(&setting, options, ctx)?;
     let mut left = first.residual();
@@ -250,6 +277,27 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
     Ok((Plan { holdings, steps }, report))
 }
 
+/// The printing bases, and what follows from them.
+struct Bases {
+    all: Vec<PrintingBase>,
+    /// Directions in which blocks are tried first.
+    preferred: Vec<Direction>,
+    /// Those that are not plano-convex.
+    bad: Vec<Element>,
+}
+
+fn bases_of(setting: &Setting, first: &Volumes, options: &Options) -> Bases {
+    let job = setting.job;
+    let (_, added) = deep(setting, first);
+    let tolerance_mm = options.base_tolerance_mm;
+    let all = printing_bases(&first.reused, &added, &job.initial_mesh, &job.frame, tolerance_mm);
+    let (good, bad): (Vec<_>, Vec<_>) = all.iter().partition(|b| b.plano_convex);
+    let mut preferred = vec![Direction::Z];
+    preferred.extend(good.iter().flat_map(|b| b.facets.iter().map(|f| f.normal)));
+    let bad = bad.iter().map(|b| Element { points: b.points.clone() }).collect();
+    Bases { all, preferred, bad }
+}
+
 /// One round of cuts and then deposits.
 fn one_round(
     setting: &Setting,
@@ -261,23 +309,8 @@ fn one_round(
     let mut report = Report::default();
     let mut clock = Clock::default();
     let first = volumes(job, &[]);
-    let (_, added) = deep(setting, &first);
-    let bases = printing_bases(
-        &first.reused,
-        &added,
-        &job.initial_mesh,
-        &job.frame,
-        options.base_tolerance_mm,
-    );
+    let Bases { all: bases, preferred, bad: bad_bases } = bases_of(setting, &first, options);
     report.base_height_ratio = base_height_ratio(job, &bases);
-    let mut preferred = vec![Direction::Z];
-    let good = bases.iter().filter(|b| b.plano_convex);
-    preferred.extend(good.flat_map(|b| b.facets.iter().map(|f| f.normal)));
-    let bad_bases: Vec<Element> = bases
-        .iter()
-        .filter(|b| !b.plano_convex)
-        .map(|b| Element { points: b.points.clone() })
-        .collect();
     clock.lap("graph");
     let normals = plane_normals(job, options.directions);
     let all = Admissible::all(job, &normals);
@@ -306,9 +339,12 @@ fn one_round(
             best = Some(made);
         }
     }
-    let best = best.ok_or(PlanError::Cancelled)?;
+    let mut best = best.ok_or(PlanError::Cancelled)?;
+    run.report.note_supports(job, best.printed_aside(job).count(), was_made);
+    if options.finish_mm > 0.0 {
+        best = finished(&mut run, best)?;
+    }
     let Run { mut report, clock, .. } = run;
-    report.note_supports(job, best.printed_aside(job).count(), was_made);
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
     Ok((best, report))
@@ -360,8 +396,12 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
     })
 }
 
-fn check(job: &Job) -> Result<(), PlanError> {
+fn check(job: &Job, options: &Options) -> Result<(), PlanError> {
     let pitch_mm = job.frame.pitch;
+    let finish_mm = options.finish_mm;
+    if finish_mm > 0.0 && finish_mm < pitch_mm {
+        return Err(PlanError::ThinAllowance { finish_mm, pitch_mm });
+    }
     for (which, part) in [("initial", &job.initial), ("target", &job.target)] {
         if part.is_empty() {
             return Err(PlanError::EmptyPart { which, pitch_mm });

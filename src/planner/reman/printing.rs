@@ -121,6 +121,35 @@ pub fn print_on_supports(
     Ok(press.printing)
 }
 
+/// Blocks that were made before once more, each along its own way, with what it can lay of what is
+/// `around` it besides; they have to be among what is wanted.
+pub fn print_again(
+    setting: &Setting,
+    coarse: &Coarse,
+    wanted: &Wanted,
+    blocks: &[Step],
+    around: impl Fn(&Step) -> BitGrid,
+    ctx: &Ctx,
+) -> Result<Printing, Cancelled> {
+    let Some(mut press) = Press::new(setting, coarse, wanted) else {
+        return Ok(wanted.unprinted());
+    };
+    for step in blocks {
+        ctx.check()?;
+        let Some(tool) = setting.nozzles().iter().find(|t| t.name == step.tool) else {
+            continue;
+        };
+        let way = Way { direction: step.direction, holding: step.holding, tool };
+        let fixed = press.fixed();
+        let left = step.region.or(&around(step)).and(&press.printing.unreached);
+        let block = press.fine(&left, &fixed).lay(way);
+        if !block.region.is_empty() {
+            press.take(block, left, fixed);
+        }
+    }
+    Ok(press.printing)
+}
+
 /// Which supports may be printed.
 #[derive(Clone, Copy)]
 pub struct OnSupports<'o> {

@@ -19,7 +19,7 @@ const MENDING_VOXELS: usize = 400_000;
 
 /// What is left standing or missing counts as much as so many times its volume printed anew: it is
 /// work by hand, or scrap. At 1 a plan would rather miss the tip of an ear than print it.
-const RESIDUAL_WEIGHT: usize = 10;
+pub const RESIDUAL_WEIGHT: usize = 10;
 
 /// Share of the target that may be given up to leave nothing at all.
 const COMPLETION_SHARE: f64 = 0.05;
@@ -80,8 +80,11 @@ impl Attempt {
     /// reused. Another placement may have no pockets that are open only below, so here all that is
     /// left counts.
     pub fn standing(&self, job: &Job, reused: usize) -> Standing {
-        let (class, voxels) = ranked(job, reused, self.left());
-        Standing { class, mm3: voxels as f64 * job.frame.voxel_volume() }
+        let (class, _) = ranked(job, reused, self.left());
+        let given_up = job.target.count().saturating_sub(reused);
+        let [given_up_mm3, left_mm3] =
+            [given_up, self.left()].map(|n| n as f64 * job.frame.voxel_volume());
+        Standing { class, given_up_mm3, left_mm3 }
     }
 
     /// Voxels of its additive steps and those it misses.

@@ -1,0 +1,288 @@
+//! Where the parts are put, and which of several placements of the target is planned.
+//!
+//! Method. `--setup keep` takes the poses of the files; else the setup search ranks placements of
+//! the target in the initial part, which stays as it stands or, on request, is laid on another of
+//! its faces. The best placement is planned. Asked for so many candidates, that many are planned in
+//! full and the best plan is kept. Asked for none in particular, the others have a say only where the
+//! plan of the first keeps little of what both parts have in common there: each is then looked at on a
+//! coarse grid, and the one that promises most is planned as well.
+//!
+//! Guarantees: the same choice at any thread count; of plans made on the job's grid the best is
+//! kept. Not guaranteed: that no other placement has a better plan. Millimetres.
+
+use super::args::Setup;
+use super::config::PlanConfig;
+use super::exit::Failure;
+use super::inputs::{self, Grids, Part};
+use super::pipeline;
+use super::plan::Clock;
+use hmplan::base::{Ctx, DAffine3, DVec3};
+use hmplan::machine::{Holding, Taken, Tool};
+use hmplan::mesh::TriMesh;
+use hmplan::plan::{Inputs, Job, Rules, end_state};
+use hmplan::planner::reman;
+use hmplan::planner::setup::Candidate;
+
+/// A plan that keeps this share of what both parts have in common at its place is not compared with
+/// those of other placements: that would take twice as long. On real parts, plans that keep less
+/// often do so because of the placement; W2V Table 1 has two of twelve below.
+const ENOUGH_SHARE: f64 = 0.5;
+
+/// The parts as they stand.
+pub struct Parts {
+    initial: Option<(Part, TriMesh)>,
+    target: Part,
+}
+
+pub fn load(config: &PlanConfig, clock: &mut Clock) -> Result<Parts, Failure> {
+    let (mut initial, mut target) = clock.time("load", || -> Result<_, Failure> {
+        Ok((config.initial.as_ref().map(Part::read).transpose()?, Part::read(&config.target)?))
+    })?;
+    for part in initial.iter().chain([&target]) {
+        for warning in &part.record.warnings {
+            tracing::warn!("{}: {warning}", part.record.path);
+        }
+    }
+    let mut standing: Vec<_> =
+        initial.iter_mut().zip(&config.initial).map(|(p, c)| (p, c.up)).collect();
+    standing.push((&mut target, config.target.up));
+    inputs::stand(&mut standing)?;
+    let placed = |part: Part| part.placed().map(|mesh| (part, mesh));
+    Ok(Parts { initial: initial.map(placed).transpose()?, target })
+}
+
+/// A place of the target, and what to say of it.
+#[derive(Clone)]
+pub struct Place {
+    motion: DAffine3,
+    notes: Vec<String>,
+    reused_share: f64,
+}
+
+/// Where the target may stand, the best place first: as in its file, or as the setup search finds,
+/// which may lay the initial part on another face besides.
+pub fn places(
+    parts: &mut Parts,
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Vec<Place>, Failure> {
+    let (Some((initial, initial_mesh)), Setup::Search) = (&mut parts.initial, config.setup) else {
+        let kept = parts.target.record.plan_from_part().unwrap_or(DAffine3::IDENTITY);
+        return Ok(vec![Place { motion: kept, notes: Vec::new(), reused_share: 0.0 }]);
+    };
+    let turned = DAffine3::from_mat3(config.target.up.to_z());
+    parts.target.place(&turned);
+    let standing = parts.target.placed()?;
+    let posed =
+        clock.time("setup", || pipeline::search_setup(initial_mesh, &standing, config, ctx))?;
+    let found = &posed.report;
+    if posed.pose > 0 {
+        let stood = initial.record.plan_from_part().unwrap_or(DAffine3::IDENTITY);
+        initial.place(&(posed.initial * stood));
+        *initial_mesh = initial.placed()?;
+    }
+    let of_initial = config.initial_pose_search.then(|| posed.note());
+    let place = |c: &Candidate| {
+        let notes = of_initial.iter().cloned().chain([found.note(c)]);
+        let motion = c.transform * turned;
+        Place { motion, notes: notes.collect(), reused_share: c.reused_share }
+    };
+    Ok([&found.winner].into_iter().chain(&found.others).map(place).collect())
+}
+
+/// A plan, and what it was made for.
+pub struct Made {
+    pub prepared: Prepared,
+    pub planned: pipeline::Planned,
+    pub notes: Vec<String>,
+}
+
+impl Made {
+    fn standing(&self) -> reman::Standing {
+        self.planned.standing
+    }
+
+    /// Whether it keeps [`ENOUGH_SHARE`].
+    fn keeps_enough(&self) -> bool {
+        let job = &self.prepared.job;
+        let kept = end_state(job, &self.planned.plan).reused.count() as f64;
+        kept >= ENOUGH_SHARE * job.ideal_reuse().count() as f64
+    }
+}
+
+/// Plans the places, as long as there is time, and keeps the best plan.
+pub fn best_of(
+    parts: &mut Parts,
+    places: &[Place],
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Made, Failure> {
+    let Some((first, others)) = places.split_first() else {
+        return Err(Failure::input("the setup search found no placement"));
+    };
+    let mut best = plan_at(parts, first, config, ctx, clock)?;
+    let told = |i: usize, s: &reman::Standing, how: &str| {
+        let what = match s.class {
+            0 => format!("a complete plan that gives up {:.1} mm³", s.given_up_mm3),
+            1 => format!("{:.1} mm³ given up, {:.1} mm³ left", s.given_up_mm3, s.left_mm3),
+            _ => format!("{:.1} mm³ left, more than the rules allow", s.left_mm3),
+        };
+        let share = 100.0 * places[i].reused_share;
+        format!("Placement {} of {}, {share:.1} % inside{how}: {what}.", i + 1, places.len())
+    };
+    if others.is_empty() {
+        return Ok(best);
+    }
+    let mut lines = vec![told(0, &best.standing(), "")];
+    let rest: Vec<usize> = match config.setup_candidates {
+        Some(_) => (1..places.len()).collect(),
+        None if best.keeps_enough() => return Ok(best),
+        None => {
+            let mut promising = (0, f64::INFINITY);
+            for (i, place) in places.iter().enumerate() {
+                if ctx.out_of_time() {
+                    break;
+                }
+                // The first by the same measure as the others.
+                let standing = clock.time("setup", || look_at(parts, place, config, ctx))?;
+                lines.push(told(i, &standing, " at a glance"));
+                if standing.loss_mm3() < promising.1 {
+                    promising = (i, standing.loss_mm3());
+                }
+            }
+            if promising.0 > 0 { vec![promising.0] } else { Vec::new() }
+        }
+    };
+    for i in rest {
+        if ctx.out_of_time() {
+            lines.push("The time limit came before the other placements.".into());
+            break;
+        }
+        let made = plan_at(parts, &places[i], config, ctx, clock)?;
+        lines.push(told(i, &made.standing(), ""));
+        if made.standing() < best.standing() {
+            best = made;
+        }
+    }
+    best.notes.extend(lines);
+    Ok(best)
+}
+
+/// How a plan may stand with the target at a place.
+fn look_at(
+    parts: &mut Parts,
+    place: &Place,
+    config: &PlanConfig,
+    ctx: &Ctx,
+) -> Result<reman::Standing, Failure> {
+    let prepared = prepare(parts, &place.motion, config, ctx, &mut Clock::start())?;
+    reman::glance(&prepared.job, &config.reman, ctx).map_err(pipeline::failure)
+}
+
+/// Plans with the target at a place.
+fn plan_at(
+    parts: &mut Parts,
+    place: &Place,
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Made, Failure> {
+    let mut notes = place.notes.clone();
+    let mut prepared = prepare(parts, &place.motion, config, ctx, clock)?;
+    if config.setup == Setup::Search && config.is_reman() {
+        let looked = || reman::shift_off_hidden(&prepared.job, &config.reman, ctx);
+        if let Some(shift) = clock.time("setup", looked)? {
+            let by = DVec3::from_array(shift.map(|n| n as f64 * prepared.job.frame.pitch));
+            let motion = DAffine3::from_translation(by) * place.motion;
+            prepared = prepare(parts, &motion, config, ctx, clock)?;
+            notes.push(format!(
+                "The target was moved on by ({:.2}, {:.2}, {:.2}) mm, so that the reused \
+                 volume hides nothing of what is printed.",
+                by.x, by.y, by.z
+            ));
+        }
+    }
+    let planned = pipeline::plan(&prepared.job, config, ctx, clock)?;
+    Ok(Made { prepared, planned, notes })
+}
+
+/// What there is before planning begins.
+pub struct Prepared {
+    pub job: Job,
+    pub inputs: Inputs,
+}
+
+/// Both parts on one grid, with the tools and rules that go with its pitch.
+fn prepare(
+    parts: &mut Parts,
+    motion: &DAffine3,
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Prepared, Failure> {
+    let tools: Vec<Tool> = config.cutters.iter().chain(&config.nozzles).cloned().collect();
+    let mut sampled = |motion: &DAffine3| {
+        parts.target.place(motion);
+        let (initial, pitch) = (parts.initial.as_ref(), config.resolution_mm);
+        clock.time("voxelise", || {
+            Grids::of(initial, &parts.target, pitch, &tools, config.reman.finish_mm, ctx)
+        })
+    };
+    let mut grids = sampled(motion)?;
+    // What is made voxel by voxel stands on the base with voxels. A place found by search may put
+    // a tip on it that is finer than these; whole voxels lower, the solid is the same.
+    let gap_mm = inputs::gap_mm(&grids.target, &grids.frame);
+    if config.nullify.is_some() && config.setup == Setup::Search && gap_mm > 0.0 {
+        let lower = DAffine3::from_translation(DVec3::Z * -gap_mm) * *motion;
+        grids = sampled(&lower)?;
+    }
+    let Grids { frame, initial: initial_solid, target: target_solid, target_mesh } = grids;
+    let (initial, target) = (parts.initial.as_ref(), &parts.target);
+    let (mut cutters, mut nozzles) = (config.cutters.clone(), config.nozzles.clone());
+    if let Some(options) = &config.nullify {
+        cutters = vec![Tool::inv_cutter(frame.pitch, options.length)];
+        nozzles = vec![Tool::inv_nozzle(frame.pitch)];
+    }
+    for tools in [&mut cutters, &mut nozzles] {
+        tools.retain(|t| match t.taken {
+            Taken::Always => true,
+            Taken::FineGrids => t.is_round_at(frame.pitch),
+            // Planner search weighs all its tools against each other at every step.
+            Taken::LastResort => config.search.is_none(),
+        });
+    }
+    let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&nozzles));
+    rules.holding = config.rules.holding;
+    rules.base = config.rules.base;
+    rules.tolerance_mm = config.rules.tolerance_mm.unwrap_or(rules.tolerance_mm);
+    rules.grip_mm = config.rules.grip_mm.unwrap_or(rules.grip_mm);
+    rules.deviation = config.search.as_ref().map_or(rules.deviation, |s| s.delta);
+    let mut machine = config.machine.clone();
+    if config.find_place {
+        let contact = Holding::AS_CLAMPED.contact(&target_solid, &frame, rules.grip_mm);
+        let sum: DVec3 = contact.iter_ones().map(|v| frame.center(v)).sum();
+        let foot = sum / contact.count().max(1) as f64;
+        machine.workholding.place = machine.find_place(frame.bounds(), foot);
+    }
+    let job = Job {
+        frame,
+        initial: initial_solid,
+        target: target_solid,
+        initial_mesh: initial.map(|i| i.1.clone()).unwrap_or_default(),
+        target_mesh,
+        machine,
+        cutters,
+        nozzles,
+        rules,
+    };
+    let inputs =
+        Inputs { initial: initial.map(|i| i.0.record.clone()), target: target.record.clone() };
+    Ok(Prepared { job, inputs })
+}
+
+/// The thinnest layer of the nozzles used, mm: how deep any of them may ride into its own layer.
+fn layer_mm(nozzles: &[Tool]) -> f64 {
+    nozzles.iter().map(|t| t.process.layer_mm).fold(f64::INFINITY, f64::min)
+}
