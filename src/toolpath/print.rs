@@ -21,7 +21,7 @@ use super::piece::{Piece, outlines};
 use super::polygons::{clip_lines, difference, intersection, of_paths, offset, simple};
 use super::process::{CLEARANCE_MM, Printing};
 use super::slice::area;
-use super::specks::specks;
+use super::specks::{in_bare_layers, specks};
 use crate::base::{Cancelled, DVec2, DVec3};
 use crate::machine::Seam;
 use clipper2_rust::{PathD, PathsD, PointD};
@@ -78,6 +78,13 @@ struct Layer {
     around: Islands,
 }
 
+impl Layer {
+    /// Whether no bead is laid in it.
+    fn is_bare(&self) -> bool {
+        self.loops.is_empty() && self.fill.is_empty()
+    }
+}
+
 /// Height of the middle of a layer, its tip's height and its thickness.
 #[derive(Clone, Copy)]
 struct Slab {
@@ -124,7 +131,7 @@ pub(super) fn print(work: &Work, process: &Printing) -> Result<Printed, Cancelle
     let slabs = slabs(low, high, process);
     let sections = Sections::new(&slabs, process, |z| piece.outline(z));
     let mut layers = sections.layers(&slabs, process);
-    if layers.iter().all(|l| l.loops.is_empty() && l.fill.is_empty()) {
+    if layers.iter().all(Layer::is_bare) {
         // A speck of which the meshes leave nothing as wide as a bead: the plan has it all the same.
         let coarse = Sections::new(&slabs, process, |z| piece.coarse(z));
         layers = coarse.layers(&slabs, process);
@@ -135,14 +142,18 @@ pub(super) fn print(work: &Work, process: &Printing) -> Result<Printed, Cancelle
         layers = sections.layers(&slabs, &narrow);
     }
     let thin_mm3 = layers.iter().map(|l| l.thin_mm3).sum::<f64>();
+    let middles: Vec<f64> = slabs.iter().map(Slab::middle).collect();
     let voxels = work.step.region.count();
     if voxels <= FEW || thin_mm3 > MUCH_THIN * voxels as f64 * work.frame.voxel_volume() {
-        let middles: Vec<f64> = slabs.iter().map(Slab::middle).collect();
         let lines = layers.iter().zip(&middles);
         let lines = lines.flat_map(|(l, z)| l.loops.iter().chain(&l.fill).map(|line| (*z, line)));
         for (k, bead) in specks(work, process, &plane, &middles, lines) {
             layers[k].fill.push(bead);
         }
+    }
+    let is_bare = |k: usize| layers[k].is_bare();
+    for (k, bead) in in_bare_layers(work, process, &plane, &middles, is_bare) {
+        layers[k].fill.push(bead);
     }
     let free = Free::around(work, work.before, h);
     let heights = free.heights(work.tool, 0.0, 0.0, work.ctx)?;

@@ -4,6 +4,8 @@
 //! a bead as long as it is wide through its middle, in the layer nearest to it, unless a short bead
 //! before it is within reach.
 //!
+//! Layers that would have no bead at all get one as well (`in_bare_layers`).
+//!
 //! Guarantees: with these beads every voxel of the region is within reach of one; each lies within
 //! half its width of the centre of a voxel. Not guaranteed: that it stays inside the exact section, which
 //! is narrower.
@@ -57,6 +59,45 @@ pub(super) fn specks<'a>(
     short
 }
 
+/// Short beads in layers that have none though the region is wider than two beads there, each with
+/// the index of its layer: where the exact section is thinner than a bead, a plan's voxels are not.
+/// Without them the next layer's beads would hang over a gap.
+pub(super) fn in_bare_layers(
+    work: &Work,
+    process: &Printing,
+    plane: &ImagePlane,
+    middles: &[f64],
+    is_bare: impl Fn(usize) -> bool,
+) -> Vec<(usize, Line)> {
+    let (frame, region) = (work.frame, &work.step.region);
+    if !(0..middles.len()).any(&is_bare) {
+        return Vec::new();
+    }
+    let inside = |p: DVec3| frame.voxel_at(p).is_some_and(|v| region.get(v));
+    let across = [plane.u, plane.v].map(|a| process.width * a);
+    let wide = |p: DVec3| across.iter().all(|a| inside(p + *a) && inside(p - *a));
+    // A body's exact face may lie half a voxel inside its voxels': that far there is certainly something.
+    let along = frame.pitch * plane.d;
+    let half = frame.pitch / 2.0 * plane.d.abs().element_sum();
+    let mut nearest: Vec<Option<(f64, DVec3)>> = vec![None; middles.len()];
+    for p in region.iter_ones().map(|v| frame.center(v)) {
+        let z = plane.height(p);
+        let reach = |side: DVec3| if inside(p + side) { half } else { 0.0 };
+        let (low, high) = (z - reach(-along), z + reach(along));
+        let first = middles.partition_point(|m| *m < low);
+        for k in first..middles.partition_point(|m| *m <= high) {
+            let away = (middles[k] - z).abs();
+            if is_bare(k) && nearest[k].is_none_or(|(d, _)| away < d) && wide(p) {
+                nearest[k] = Some((away, p));
+            }
+        }
+    }
+    let half_bead = DVec2::new(process.width / 2.0, 0.0);
+    let bead = |p: DVec3| vec![plane.across(p) - half_bead, plane.across(p) + half_bead];
+    let found = nearest.into_iter().enumerate();
+    found.filter_map(|(k, at)| at.map(|(_, p)| (k, bead(p)))).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -101,5 +142,41 @@ mod tests {
         assert!(!beads.is_empty() && !(0..n).any(all), "{beads:?}");
         assert!(beads.iter().all(|(k, line)| *k == 1 && line.iter().all(|p| p.x >= at(apart).x)));
         assert!(made(&vec![at(0), at(n - 1)]).is_empty());
+    }
+    #[test]
+    fn a_layer_without_beads_gets_one_where_the_region_is_wide() {
+        let w = tower("generic-5axis");
+        let (job, mut step) = (&w.job, w.plan.steps[0].clone());
+        let tool = job.machine.tools_of(ToolKind::Additive)[0].clone();
+        let wide = |v: [usize; 3]| (10..20).contains(&v[0]) && (10..20).contains(&v[1]);
+        step.region = BitGrid::from_fn(job.frame.dims, |v| {
+            wide(v) && (10..20).contains(&v[2])
+                || v[0] == 12 && v[1] == 12 && (20..24).contains(&v[2])
+        });
+        let none = BitGrid::new(job.frame.dims);
+        let work = Work {
+            job,
+            frame: &job.frame,
+            step: &step,
+            tool: &tool,
+            before: &none,
+            after: &none,
+            fixed: &[],
+            surfaces: &[none.clone(), none.clone()],
+            ctx: &Ctx::quiet(),
+        };
+        let extruder = job.machine.extruder.as_ref().unwrap();
+        let process = Printing::of(&job.machine, extruder, &tool);
+        let plane = step.direction.image_plane();
+        let z = |k: usize| plane.height(job.frame.center([0, 0, k]));
+        // Under the body, in it, at its last voxels' far half, on the thin rod above, over all.
+        let middles = [z(9), z(12) + 0.01, z(15), z(19) + 0.49 * job.frame.pitch, z(21), z(25)];
+        let made = in_bare_layers(&work, &process, &plane, &middles, |_| true);
+        let layers: Vec<usize> = made.iter().map(|(k, _)| *k).collect();
+        assert_eq!(layers, [1, 2], "{made:?}");
+        assert!(made.iter().all(|(_, line)| line.len() == 2));
+        let second = in_bare_layers(&work, &process, &plane, &middles, |k| k == 2);
+        assert_eq!(second.len(), 1);
+        assert!(in_bare_layers(&work, &process, &plane, &middles, |_| false).is_empty());
     }
 }

@@ -159,7 +159,8 @@ pub struct Candidate {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupReport {
     pub winner: Candidate,
-    /// The next best, refined as the winner is, as many as were asked for: no two the same.
+    /// The pose of the files and the next best, these refined as the winner is, as many as were asked
+    /// for: no two the same.
     pub others: Vec<Candidate>,
     /// The carried rotations and the pose of the files, each at its best place on the coarse grid,
     /// best first; those that reuse too little to compete come last.
@@ -248,6 +249,7 @@ pub fn search(
 
     let families = families(&problem, options.rotations, anchor, pair.grip_mm);
     let (carried, rotations) = stage.coarse(&families, options.carried)?;
+    let file_pose = stage.scored(Sampling::Fine, &carried[0]);
     let (mut carried, floor, shifts) = stage.fine(&carried)?;
     let nudges = stage.nudge(&mut carried, floor)?;
     let most = carried.iter().map(|t| t.share).fold(0.0, f64::max);
@@ -259,6 +261,10 @@ pub fn search(
     let mut tried = rotations + shifts + nudges + moves;
     let winner = winner.candidate(anchor);
     let mut others: Vec<Candidate> = Vec::new();
+    // As it stands in its file, when the search has moved it: files often come aligned.
+    let file_pose = Some(file_pose).filter(|t| options.refined > 1 && t.share >= floor);
+    let file_pose = file_pose.map(|t| t.candidate(anchor));
+    others.extend(file_pose.filter(|c| !c.is_same(&winner)));
     for trial in carried.iter().skip(1).filter(|t| t.share >= floor) {
         if others.len() + 1 >= options.refined {
             break;

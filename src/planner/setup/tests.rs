@@ -46,6 +46,20 @@ fn the_same_part_twice_stays_where_it_is() {
     );
 }
 
+/// A pose that the search has left is still a candidate, unmoved.
+#[test]
+fn the_pose_of_the_files_is_among_the_others() {
+    let part = stepped();
+    let target = moved(&part, DMat3::IDENTITY, DVec3::new(5.0, 0.0, 0.0));
+    let options = SetupOptions { rotations: 10, carried: 2, refined: 3, ..SetupOptions::default() };
+    let report = search(&part, &target, &options, &Ctx::quiet()).unwrap();
+    assert!(report.winner.reused_share > 0.99, "{report:?}");
+    assert_eq!(report.others[0].transform, DAffine3::IDENTITY, "{report:?}");
+    assert!(report.others[0].reused_share < 0.95, "{report:?}");
+    let again = search(&part, &part, &options, &Ctx::quiet()).unwrap();
+    assert!(again.others.iter().all(|o| !o.is_same(&again.winner)), "{again:?}");
+}
+
 /// Moved by what a file rounds off, a real bracket lay otherwise on the grid, and its plan left a voxel.
 #[test]
 fn what_a_file_rounds_off_moves_nothing() {
