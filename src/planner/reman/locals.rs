@@ -86,7 +86,10 @@ pub fn improved(run: &mut Run, mut best: Attempt) -> Result<Attempt, PlanError> 
         let made = start.attempt(clips, options, ctx)?;
         clock.lap("blocks");
         made.tell("improved", round);
-        if made.rank(job) >= best.rank(job) {
+        // Planes that are not enough would go on to give up the whole part for a little less that is left:
+        // then the last resort does better under those before.
+        let gains = made.is_valid(job) || made.loss(job) < best.loss(job);
+        if made.rank(job) >= best.rank(job) || !gains {
             break;
         }
         best = made;

@@ -76,6 +76,12 @@ impl Attempt {
         ranked(job, self.volumes.reused.count(), self.residual())
     }
 
+    /// What it gives up and, [`RESIDUAL_WEIGHT`] times, what it leaves, in voxels.
+    pub fn loss(&self, job: &Job) -> usize {
+        let given_up = job.target.count().saturating_sub(self.volumes.reused.count());
+        given_up + RESIDUAL_WEIGHT * self.residual()
+    }
+
     /// How it stands beside the plans of other placements of the target when so many voxels are
     /// reused. Another placement may have no pockets that are open only below, so here all that is
     /// left counts.
