@@ -48,8 +48,8 @@ pub struct PlanConfig {
     /// What planner reman is told.
     pub reman: reman::Options,
     pub setup_score: setup::Score,
-    /// Placements that are planned in full; None: the best, and of the next [`LOOKED_AT`] one if
-    /// its plan keeps little.
+    /// Placements that are planned in full; None: the best, and if its plan keeps little the most
+    /// promising of [`LOOKED_AT`].
     pub setup_candidates: Option<usize>,
     /// Whether the initial part may be laid on another of its faces.
     pub initial_pose_search: bool,

@@ -5,7 +5,8 @@
 //! its faces. The best placement is planned. Asked for so many candidates, that many are planned in
 //! full and the best plan is kept. Asked for none in particular, the others have a say only where the
 //! plan of the first keeps little of what both parts have in common there: each is then looked at on a
-//! coarse grid, and the one that promises most is planned as well.
+//! coarse grid, and of those that promise more, the most promising first, at most two are planned as
+//! well, until one keeps enough.
 //!
 //! Guarantees: the same choice at any thread count; of plans made on the job's grid the best is
 //! kept. Not guaranteed: that no other placement has a better plan. Millimetres.
@@ -27,6 +28,9 @@ use hmplan::planner::setup::Candidate;
 /// those of other placements: that would take twice as long. On real parts, plans that keep less
 /// often do so because of the placement; W2V Table 1 has two of twelve below.
 const ENOUGH_SHARE: f64 = 0.5;
+
+/// Placements planned after the first where none keeps enough: each takes as long as the first.
+const MOST_MORE: usize = 2;
 
 /// The parts as they stand.
 pub struct Parts {
@@ -136,24 +140,28 @@ pub fn best_of(
         return Ok(best);
     }
     let mut lines = vec![told(0, &best.standing(), "")];
-    let rest: Vec<usize> = match config.setup_candidates {
-        Some(_) => (1..places.len()).collect(),
-        None if best.keeps_enough() => return Ok(best),
-        None => {
-            let mut promising = (0, f64::INFINITY);
-            for (i, place) in places.iter().enumerate() {
-                if ctx.out_of_time() {
-                    break;
-                }
-                // The first by the same measure as the others.
-                let standing = clock.time("setup", || look_at(parts, place, config, ctx))?;
-                lines.push(told(i, &standing, " at a glance"));
-                if standing.loss_mm3() < promising.1 {
-                    promising = (i, standing.loss_mm3());
-                }
+    let all_asked_for = config.setup_candidates.is_some();
+    let is_enough = |best: &Made| !all_asked_for && best.keeps_enough();
+    if is_enough(&best) {
+        return Ok(best);
+    }
+    let rest: Vec<usize> = if all_asked_for {
+        (1..places.len()).collect()
+    } else {
+        let mut glances = Vec::new();
+        for (i, place) in places.iter().enumerate() {
+            if ctx.out_of_time() {
+                break;
             }
-            if promising.0 > 0 { vec![promising.0] } else { Vec::new() }
+            let standing = clock.time("setup", || look_at(parts, place, config, ctx))?;
+            lines.push(told(i, &standing, " at a glance"));
+            glances.push((standing.loss_mm3(), i));
         }
+        // Those that promise more than the first does by the same measure.
+        let first = glances.first().map_or(0.0, |g| g.0);
+        glances.retain(|g| g.0 < first);
+        glances.sort_by(|a, b| a.0.total_cmp(&b.0));
+        glances.into_iter().take(MOST_MORE).map(|(_, i)| i).collect()
     };
     for i in rest {
         if ctx.out_of_time() {
@@ -164,6 +172,9 @@ pub fn best_of(
         lines.push(told(i, &made.standing(), ""));
         if made.standing() < best.standing() {
             best = made;
+        }
+        if is_enough(&best) {
+            break;
         }
     }
     best.notes.extend(lines);

@@ -151,7 +151,7 @@ mod tests {
         let wide = |v: [usize; 3]| (10..20).contains(&v[0]) && (10..20).contains(&v[1]);
         step.region = BitGrid::from_fn(job.frame.dims, |v| {
             wide(v) && (10..20).contains(&v[2])
-                || v[0] == 12 && v[1] == 12 && (20..24).contains(&v[2])
+                || v[0] == 5 && v[1] == 5 && (20..24).contains(&v[2])
         });
         let none = BitGrid::new(job.frame.dims);
         let work = Work {
@@ -169,7 +169,7 @@ mod tests {
         let process = Printing::of(&job.machine, extruder, &tool);
         let plane = step.direction.image_plane();
         let z = |k: usize| plane.height(job.frame.center([0, 0, k]));
-        // Under the body, in it, at its last voxels' far half, on the thin rod above, over all.
+        // Under the body, in it, at its last voxels' far half, on the thin rod higher up, over all.
         let middles = [z(9), z(12) + 0.01, z(15), z(19) + 0.49 * job.frame.pitch, z(21), z(25)];
         let made = in_bare_layers(&work, &process, &plane, &middles, |_| true);
         let layers: Vec<usize> = made.iter().map(|(k, _)| *k).collect();
