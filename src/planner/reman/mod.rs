@@ -172,7 +172,7 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// What is given up and, [`RESIDUAL_WEIGHT`] times, what is left, mm³.
+    /// What is given up and, ten times, what is left, mm³.
     pub fn loss_mm3(&self) -> f64 {
         self.given_up_mm3 + RESIDUAL_WEIGHT as f64 * self.left_mm3
     }
