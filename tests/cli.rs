@@ -1,7 +1,7 @@
 //! The command line from outside: what it prints, what it writes, what it returns.
 
 use assert_cmd::Command;
-use hmplan::plan::PlanFile;
+use hmplan::plan::{PlanFile, StepKind};
 use predicates::prelude::*;
 use predicates::str::contains;
 use std::fs;
@@ -365,6 +365,65 @@ fn the_setup_is_searched_unless_it_is_to_be_kept() {
     let z = file.inputs.target.transform[11];
     assert!((z + 7.0).abs() < 1e-6, "as it stood, on the base: {z}");
     // The plan is judged in the pose that was found, without a search of its own.
+    let verified = hmplan().arg("verify").arg(&dir).output().unwrap();
+    assert_eq!(verified.status.code(), output.status.code());
+}
+
+#[test]
+fn a_finishing_allowance_is_printed_cut_off_and_verified_from_the_files() {
+    let out = tempfile::tempdir().unwrap();
+    let (plain, finished) = (out.path().join("plain"), out.path().join("finished"));
+    plan(&plain, &[]).assert().code(0);
+    plan(&finished, &["--finish=0.8"]).assert().code(0).stdout(contains("of allowance"));
+    let (plain, file) = (read_plan(&plain), read_plan(&finished));
+    assert_eq!((plain.command.finish_mm, file.command.finish_mm), (0.0, 0.8));
+    // Room for the allowance on every side of the parts.
+    assert_eq!(file.grid.dims, plain.grid.dims.map(|n| n + 2));
+    // The look on the coarse grid falls otherwise on the wider one.
+    assert!((file.summary.reuse_final - plain.summary.reuse_final).abs() < 0.02);
+    let last = |f: &PlanFile| f.steps.last().map(|s| s.kind);
+    assert_eq!(last(&plain), Some(StepKind::Additive));
+    assert_eq!(last(&file), Some(StepKind::Subtractive));
+    hmplan().arg("verify").arg(&finished).assert().code(0);
+    // Less room than recorded is another grid.
+    let path = finished.join("plan.json");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("\"finish_mm\": 0.8", "\"finish_mm\": 0.0")).unwrap();
+    hmplan()
+        .arg("verify")
+        .arg(&finished)
+        .assert()
+        .code(2)
+        .stderr(contains("the grid in plan.json"));
+}
+
+#[test]
+fn the_initial_part_may_be_laid_on_another_face() {
+    let out = tempfile::tempdir().unwrap();
+    let (stub, block, dir) =
+        (out.path().join("stub.obj"), out.path().join("block.obj"), out.path().join("d"));
+    let cuboid = |lo: [f64; 3], hi: [f64; 3], first: usize| {
+        let corner = |i: usize, a: usize| if i >> a & 1 == 0 { lo[a] } else { hi[a] };
+        let v = (0..8).map(|i| format!("v {} {} {}\n", corner(i, 0), corner(i, 1), corner(i, 2)));
+        let faces =
+            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let f = faces.map(|f| f.map(|i| (i + first).to_string()).join(" "));
+        v.collect::<String>() + &f.map(|f| format!("f {f}\n")).concat()
+    };
+    // A block on a stub, and one that only fits into the block.
+    let both = cuboid([9.0, 6.0, 0.0], [21.0, 14.0, 10.0], 1)
+        + &cuboid([0.0, 0.0, 10.0], [30.0, 20.0, 20.0], 9);
+    fs::write(&stub, both).unwrap();
+    fs::write(&block, cuboid([0.0; 3], [28.0, 18.0, 9.0], 1)).unwrap();
+    let mut command = hmplan();
+    command.arg("plan").arg(&stub).arg(&block);
+    command.args(["--resolution", PITCH, "--initial-pose", "search", "-o"]).arg(&dir);
+    let output = command.output().unwrap();
+    let file = read_plan(&dir);
+    assert!(file.summary.notes[0].contains("laid on another face"), "{:?}", file.summary.notes);
+    assert!(file.summary.reuse_final > 0.95, "{:?}", file.summary);
+    let lain = file.inputs.initial.unwrap().transform;
+    assert!(lain[10] < -0.99, "the block's face is below: {lain:?}");
     let verified = hmplan().arg("verify").arg(&dir).output().unwrap();
     assert_eq!(verified.status.code(), output.status.code());
 }
