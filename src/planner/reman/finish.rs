@@ -4,7 +4,8 @@
 //! Method. The blocks stay. Each is laid once more with what its nozzle can lay of a shell around
 //! it, outside the target, that a cutter reaches while the whole target stands. Then all that
 //! stands outside the target is cut, the cuts that took the supports first. Where the shell kept a later
-//! block's nozzle out, or cutters left some of it, it is left out around there and all is made again.
+//! block's nozzle out, or cutters left some of it, it is left out around there and all is made again;
+//! so is what asks for a cut of its own and is little.
 //!
 //! Guarantees: those of cuts and deposits; the plan ranks no lower and leaves no more than without,
 //! else it stays as it was. Not guaranteed: an allowance on every printed face. What faces down,
@@ -28,6 +29,10 @@ const NOZZLE_MM: f64 = 8.0;
 
 /// How far around what cutters left of it the shell is left out, in voxels: a step of the surface.
 const NEAR_LEFT: f64 = 2.0;
+
+/// A further cut has to take this share of the shell: below, a crease here and there would ask for a
+/// dozen directions.
+const LEAST_CUT_SHARE: f64 = 0.03;
 
 /// A plan's steps by their turn: cuts, deposits, cuts of what does not stay, late deposits.
 struct Turns<'a> {
@@ -64,25 +69,32 @@ pub fn finished(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> {
     let around = distance_within(&printed.and(&job.target), options.finish_mm / job.frame.pitch);
     let all = around.minus(&job.target).minus(&printed).minus(&plain.stock);
     let mut shell = within_reach(&setting, &job.target, &all, options.directions, ctx)?;
+    let mut best: Option<(Attempt, BitGrid)> = None;
     for round in 0..=AGAIN {
         if shell.is_empty() || ctx.out_of_time() {
             break;
         }
-        let (made, laid, obstacle) = start.with_shell(&plain, &turns, &shell, options, ctx)?;
+        let (made, laid, mut obstacle) = start.with_shell(&plain, &turns, &shell, options, ctx)?;
         made.tell("finish", round);
         let is_no_worse = made.rank(job) <= plain.rank(job) && made.left() <= plain.left();
-        if is_no_worse && obstacle.is_empty() {
-            run.clock.lap("blocks");
-            run.report.notes.push(told(job, &all, &laid));
-            return Ok(made);
+        let small = obstacle.is_empty().then(|| small_cuts(&made, &turns, &laid));
+        if let Some(small) = small {
+            obstacle = distance_within(&small, NEAR_LEFT).and(&shell);
+            let is_shorter = best.as_ref().is_none_or(|(b, _)| made.steps.len() < b.steps.len());
+            if is_no_worse && is_shorter {
+                best = Some((made, laid));
+            }
         }
-        let before = shell.count();
-        shell.subtract(&obstacle);
-        if shell.count() == before {
+        if obstacle.is_empty() {
             break;
         }
+        shell.subtract(&obstacle);
     }
     run.clock.lap("blocks");
+    if let Some((made, laid)) = best {
+        run.report.notes.push(told(job, &all, &laid));
+        return Ok(made);
+    }
     run.report.notes.push(
         "No finishing cut: with an allowance on what is printed the plan would leave more.".into(),
     );
@@ -171,6 +183,17 @@ impl Start<'_> {
         };
         Ok((made, laid, obstacle))
     }
+}
+
+/// What of a shell is taken by further cuts that each take little of it.
+fn small_cuts(made: &Attempt, turns: &Turns, laid: &BitGrid) -> BitGrid {
+    let least = LEAST_CUT_SHARE * laid.count() as f64;
+    let further = Turns::of(made).cuts.iter().skip(turns.cuts.len());
+    let mut small = BitGrid::new(laid.dims());
+    further
+        .filter(|s| (s.region.count_and(laid) as f64) < least)
+        .for_each(|s| small.union_with(&s.region.and(laid)));
+    small
 }
 
 /// What some steps lay in all.
