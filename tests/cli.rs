@@ -89,6 +89,7 @@ fn bad_flags_are_bad_usage() {
         (&["--setup", "keep", "--initial-pose", "search"], "leave out --initial-pose"),
         (&["--planner", "search", "--finish"], "planner reman"),
         (&["--finish=0"], "above 0"),
+        (&["--finish=0.5", "--planner", "nullify"], "planner reman"),
         (&["--planner", "search", "--rotations", "8"], "possible values"),
         (&["--planner", "search", "--tool-cost", "long-cutter"], "TOOL=F"),
         (&["--planner", "search", "--delta=-1"], "not below 0"),
@@ -385,6 +386,8 @@ fn a_finishing_allowance_is_printed_cut_off_and_verified_from_the_files() {
     assert_eq!(last(&plain), Some(StepKind::Additive));
     assert_eq!(last(&file), Some(StepKind::Subtractive));
     hmplan().arg("verify").arg(&finished).assert().code(0);
+    // More than any grid holds is refused, and no sum overflows.
+    refused(&mut plan(&out.path().join("huge"), &["--finish=1e300"]), "voxels");
     // Less room than recorded is another grid.
     let path = finished.join("plan.json");
     let text = fs::read_to_string(&path).unwrap();

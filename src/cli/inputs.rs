@@ -152,8 +152,9 @@ pub fn frame(
     let target = target.bounds();
     let bounds = initial.map_or(target, |i| i.bounds().union(target));
     let pitch = pitch.unwrap_or_else(|| default_pitch(&bounds, tools));
-    Frame::around(bounds, pitch, MARGIN + (spare_mm / pitch).ceil() as usize)
-        .map_err(Failure::input)
+    // A spare no grid can hold saturates, and the frame refuses it.
+    let margin = MARGIN.saturating_add((spare_mm / pitch).ceil() as usize);
+    Frame::around(bounds, pitch, margin).map_err(Failure::input)
 }
 
 /// One part as a solid.

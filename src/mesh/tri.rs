@@ -143,6 +143,18 @@ impl TriMesh {
             .collect();
         TriMesh { vertices, triangles }
     }
+
+    /// The triangles of several meshes in one, none of them cut where they meet.
+    #[cfg(test)]
+    pub(crate) fn joined(parts: &[TriMesh]) -> TriMesh {
+        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+        for p in parts {
+            let first = vertices.len() as u32;
+            vertices.extend_from_slice(&p.vertices);
+            triangles.extend(p.triangles.iter().map(|t| t.map(|i| i + first)));
+        }
+        TriMesh { vertices, triangles }
+    }
 }
 
 #[cfg(test)]

@@ -103,80 +103,86 @@ mod tests {
     use super::*;
     use crate::base::Ctx;
     use crate::machine::ToolKind;
+    use crate::plan::Job;
     use crate::toolpath::tests::tower;
+
+    /// Asks about a step that prints just what a condition says of the tower's voxels.
+    fn with_region<R>(
+        is_printed: impl Fn([usize; 3]) -> bool + Sync,
+        ask: impl Fn(&Job, &Work, &Printing, &ImagePlane) -> R,
+    ) -> R {
+        let w = tower("generic-5axis");
+        let (job, mut step) = (&w.job, w.plan.steps[0].clone());
+        let tool = job.machine.tools_of(ToolKind::Additive)[0].clone();
+        step.region = BitGrid::from_fn(job.frame.dims, is_printed);
+        let none = BitGrid::new(job.frame.dims);
+        let work = Work {
+            job,
+            frame: &job.frame,
+            step: &step,
+            tool: &tool,
+            before: &none,
+            after: &none,
+            fixed: &[],
+            surfaces: &[none.clone(), none.clone()],
+            ctx: &Ctx::quiet(),
+        };
+        let extruder = job.machine.extruder.as_ref().unwrap();
+        let process = Printing::of(&job.machine, extruder, &tool);
+        ask(job, &work, &process, &step.direction.image_plane())
+    }
 
     #[test]
     fn what_is_far_from_every_bead_gets_one_and_the_rest_none() {
-        let w = tower("generic-5axis");
-        let (job, mut step) = (&w.job, w.plan.steps[0].clone());
-        let tool = job.machine.tools_of(ToolKind::Additive)[0].clone();
-        let (n, apart) = (job.frame.dims[0], 12);
-        step.region = BitGrid::from_fn(job.frame.dims, |v| v[1] == 20 && v[2] == 30);
-        let none = BitGrid::new(job.frame.dims);
-        let work = Work {
-            job,
-            frame: &job.frame,
-            step: &step,
-            tool: &tool,
-            before: &none,
-            after: &none,
-            fixed: &[],
-            surfaces: &[none.clone(), none.clone()],
-            ctx: &Ctx::quiet(),
-        };
-        let extruder = job.machine.extruder.as_ref().unwrap();
-        let process = Printing::of(&job.machine, extruder, &tool);
-        let plane = step.direction.image_plane();
-        let at = |x: usize| plane.across(job.frame.center([x, 20, 30]));
-        let z = plane.height(job.frame.center([0, 20, 30]));
-        let middles = [z - 0.3, z - 0.1, z + 0.1001];
-        let made = |line: &Line| specks(&work, &process, &plane, &middles, [(z, line)].into_iter());
-        // A bead along the first voxels leaves those beyond its reach.
-        let long = vec![at(0), at(apart)];
-        let beads = made(&long);
-        let reach = reach(&work, &process);
-        let all = |x: usize| {
-            let far = |line: &Line| line.iter().all(|p| p.distance(at(x)) > reach);
-            x > apart && far(&long) && beads.iter().all(|(_, line)| far(line))
-        };
-        assert!(!beads.is_empty() && !(0..n).any(all), "{beads:?}");
-        assert!(beads.iter().all(|(k, line)| *k == 1 && line.iter().all(|p| p.x >= at(apart).x)));
-        assert!(made(&vec![at(0), at(n - 1)]).is_empty());
+        with_region(
+            |v| v[1] == 20 && v[2] == 30,
+            |job, work, process, plane| {
+                let (n, apart) = (job.frame.dims[0], 12);
+                let at = |x: usize| plane.across(job.frame.center([x, 20, 30]));
+                let z = plane.height(job.frame.center([0, 20, 30]));
+                let middles = [z - 0.3, z - 0.1, z + 0.1001];
+                let made =
+                    |line: &Line| specks(work, process, plane, &middles, [(z, line)].into_iter());
+                // A bead along the first voxels leaves those beyond its reach.
+                let long = vec![at(0), at(apart)];
+                let beads = made(&long);
+                let reach = reach(work, process);
+                let all = |x: usize| {
+                    let far = |line: &Line| line.iter().all(|p| p.distance(at(x)) > reach);
+                    x > apart && far(&long) && beads.iter().all(|(_, line)| far(line))
+                };
+                assert!(!beads.is_empty() && !(0..n).any(all), "{beads:?}");
+                let beyond = |line: &Line| line.iter().all(|p| p.x >= at(apart).x);
+                assert!(beads.iter().all(|(k, line)| *k == 1 && beyond(line)));
+                assert!(made(&vec![at(0), at(n - 1)]).is_empty());
+            },
+        );
     }
+
     #[test]
     fn a_layer_without_beads_gets_one_where_the_region_is_wide() {
-        let w = tower("generic-5axis");
-        let (job, mut step) = (&w.job, w.plan.steps[0].clone());
-        let tool = job.machine.tools_of(ToolKind::Additive)[0].clone();
-        let wide = |v: [usize; 3]| (10..20).contains(&v[0]) && (10..20).contains(&v[1]);
-        step.region = BitGrid::from_fn(job.frame.dims, |v| {
-            wide(v) && (10..20).contains(&v[2])
-                || v[0] == 5 && v[1] == 5 && (20..24).contains(&v[2])
-        });
-        let none = BitGrid::new(job.frame.dims);
-        let work = Work {
-            job,
-            frame: &job.frame,
-            step: &step,
-            tool: &tool,
-            before: &none,
-            after: &none,
-            fixed: &[],
-            surfaces: &[none.clone(), none.clone()],
-            ctx: &Ctx::quiet(),
-        };
-        let extruder = job.machine.extruder.as_ref().unwrap();
-        let process = Printing::of(&job.machine, extruder, &tool);
-        let plane = step.direction.image_plane();
-        let z = |k: usize| plane.height(job.frame.center([0, 0, k]));
-        // Under the body, in it, at its last voxels' far half, on the thin rod higher up, over all.
-        let middles = [z(9), z(12) + 0.01, z(15), z(19) + 0.49 * job.frame.pitch, z(21), z(25)];
-        let made = in_bare_layers(&work, &process, &plane, &middles, |_| true);
-        let layers: Vec<usize> = made.iter().map(|(k, _)| *k).collect();
-        assert_eq!(layers, [1, 2], "{made:?}");
-        assert!(made.iter().all(|(_, line)| line.len() == 2));
-        let second = in_bare_layers(&work, &process, &plane, &middles, |k| k == 2);
-        assert_eq!(second.len(), 1);
-        assert!(in_bare_layers(&work, &process, &plane, &middles, |_| false).is_empty());
+        let wide = |v: [usize; 3]| v.iter().all(|c| (10..20).contains(c));
+        let rod = |v: [usize; 3]| v[0] == 5 && v[1] == 5 && (20..24).contains(&v[2]);
+        with_region(
+            |v| wide(v) || rod(v),
+            |job, work, process, plane| {
+                let z = |k: usize| plane.height(job.frame.center([0, 0, k]));
+                let end = z(19) + 0.49 * job.frame.pitch;
+                // Under the body, in it, in its last voxels' far half, on the thin rod, over all.
+                let middles = [z(9), z(12) + 0.01, z(15), end, z(21), z(25)];
+                let made = |is_bare: &dyn Fn(usize) -> bool| {
+                    in_bare_layers(work, process, plane, &middles, is_bare)
+                };
+                let all = made(&|_| true);
+                let layers: Vec<usize> = all.iter().map(|(k, _)| *k).collect();
+                assert_eq!(layers, [1, 2], "{all:?}");
+                for (_, line) in &all {
+                    let p = plane.world((line[0] + line[1]) / 2.0, z(15));
+                    assert!(job.frame.voxel_at(p).is_some_and(wide), "{all:?}");
+                }
+                assert_eq!(made(&|k| k == 2).len(), 1);
+                assert!(made(&|_| false).is_empty());
+            },
+        );
     }
 }

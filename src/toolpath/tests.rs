@@ -346,14 +346,9 @@ fn supports_get_beads_though_no_mesh_has_a_section_there() {
         w.job.target.get(v) && (frame.center(v).x < 12.0 || frame.center(v).z < 4.0)
     });
     let cuboid = |lo: [f64; 3], hi: [f64; 3]| TriMesh::cuboid(lo.into(), hi.into());
-    w.job.initial_mesh = cuboid([2.0, 2.0, 0.0], [22.0, 18.0, 4.0]);
     let tower = cuboid([4.0, 6.0, 3.0], [10.0, 12.0, 10.0]);
-    let first = w.job.initial_mesh.vertices().len() as u32;
-    let mut points = w.job.initial_mesh.vertices().to_vec();
-    points.extend(tower.vertices());
-    let mut triangles = w.job.initial_mesh.triangles().to_vec();
-    triangles.extend(tower.triangles().iter().map(|t| t.map(|v| v + first)));
-    w.job.target_mesh = TriMesh::new(points, triangles).unwrap();
+    w.job.initial_mesh = cuboid([2.0, 2.0, 0.0], [22.0, 18.0, 4.0]);
+    w.job.target_mesh = TriMesh::joined(&[w.job.initial_mesh.clone(), tower]);
     let path = &paths(&w)[0];
     let beads = |low: f64, high: f64| {
         let inside = |m: &&Move| m.kind == MoveKind::Deposit && m.tip.x > low && m.tip.x < high;
@@ -380,14 +375,9 @@ fn what_was_cut_away_is_printed_up_to_the_meshes_own_face() {
     let steps = [(StepKind::Subtractive, DVec3::Z, cut), (StepKind::Additive, DVec3::Z, back)];
     let mut w = world("generic-5axis", 0.5, size, plate, &steps);
     let cuboid = |lo: [f64; 3], hi: [f64; 3]| TriMesh::cuboid(lo.into(), hi.into());
-    w.job.initial_mesh = cuboid([2.0, 2.0, 0.0], [22.0, 18.0, 4.2]);
     let tower = cuboid([12.0, 6.0, 0.0], [20.0, 14.0, 8.0]);
-    let first = w.job.initial_mesh.vertices().len() as u32;
-    let mut points = w.job.initial_mesh.vertices().to_vec();
-    points.extend(tower.vertices());
-    let mut triangles = w.job.initial_mesh.triangles().to_vec();
-    triangles.extend(tower.triangles().iter().map(|t| t.map(|v| v + first)));
-    w.job.target_mesh = TriMesh::new(points, triangles).unwrap();
+    w.job.initial_mesh = cuboid([2.0, 2.0, 0.0], [22.0, 18.0, 4.2]);
+    w.job.target_mesh = TriMesh::joined(&[w.job.initial_mesh.clone(), tower]);
     let path = &paths(&w)[1];
     let beads = path.moves.iter().filter(|m| m.kind == MoveKind::Deposit);
     let heights: BTreeSet<i64> = beads.map(|m| (m.tip.z * 1e3).round() as i64).collect();

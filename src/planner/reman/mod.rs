@@ -36,6 +36,7 @@
 //!   is printed on supports, and both are cut at the end, with slender tools if need be, if that
 //!   leaves less (`last_resort`); of large parts at once, where a coarse look says that the rules'
 //!   deviation cannot be met without. The paper does without supports, to save their material.
+//! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
 //!   paper names a finishing cut as future work.
 //! - A placement found by search is moved on by a voxel or two where the reused volume would hide a

@@ -144,7 +144,7 @@ pub fn print_again(
         let left = step.region.or(&around(step)).and(&press.printing.unreached);
         let block = press.fine(&left, &fixed).lay(way);
         if !block.region.is_empty() {
-            press.take(block, left, fixed);
+            press.put(block, fixed);
         }
     }
     Ok(press.printing)
@@ -349,9 +349,15 @@ impl<'a> Press<'_, 'a> {
         Share { direction, region: flood(&over, &near, Connectivity::Corner26) }
     }
 
+    /// Lays a block, and what it would have had of what was left is kept as a share.
     fn take(&mut self, block: Block, left: BitGrid, fixed: Vec<Vec<DVec3>>) {
         let share = self.share(&block, &left);
         self.printing.shares.push(share);
+        self.put(block, fixed);
+    }
+
+    /// Lays a block.
+    fn put(&mut self, block: Block, fixed: Vec<Vec<DVec3>>) {
         let holding = block.way.holding;
         self.held = Some((holding, fixed.into_iter().nth(holding).unwrap_or_default()));
         let printing = &mut self.printing;

@@ -1,5 +1,5 @@
 //! The setup search: where the target part M* is put in the initial part M, which stays as it is
-//! clamped (W2V Sec. 5, App. D).
+//! clamped (W2V Sec. 5, App. D) unless its pose is searched as well ([`search_poses`]).
 //!
 //! | symbol | here | meaning |
 //! |---|---|---|
@@ -249,7 +249,7 @@ pub fn search(
 
     let families = families(&problem, options.rotations, anchor, pair.grip_mm);
     let (carried, rotations) = stage.coarse(&families, options.carried)?;
-    let file_pose = stage.scored(Sampling::Fine, &carried[0]);
+    let file_pose = carried[0];
     let (mut carried, floor, shifts) = stage.fine(&carried)?;
     let nudges = stage.nudge(&mut carried, floor)?;
     let most = carried.iter().map(|t| t.share).fold(0.0, f64::max);
@@ -261,10 +261,14 @@ pub fn search(
     let mut tried = rotations + shifts + nudges + moves;
     let winner = winner.candidate(anchor);
     let mut others: Vec<Candidate> = Vec::new();
-    // As it stands in its file, when the search has moved it: files often come aligned.
-    let file_pose = Some(file_pose).filter(|t| options.refined > 1 && t.share >= floor);
-    let file_pose = file_pose.map(|t| t.candidate(anchor));
-    others.extend(file_pose.filter(|c| !c.is_same(&winner)));
+    if options.refined > 1 {
+        // As it stands in its file, when the search has moved it: files often come aligned.
+        let kept = stage.scored(Sampling::Fine, &file_pose);
+        let candidate = kept.candidate(anchor);
+        if kept.share >= floor && !candidate.is_same(&winner) {
+            others.push(candidate);
+        }
+    }
     for trial in carried.iter().skip(1).filter(|t| t.share >= floor) {
         if others.len() + 1 >= options.refined {
             break;

@@ -56,13 +56,17 @@ pub fn search_poses(
     ctx: &Ctx,
 ) -> Result<PosedSetup, PlanError> {
     let upright = rotations::upright(initial, RESTING);
+    let middle = initial.bounds().center();
     let mut found: Vec<(DAffine3, SetupReport)> = Vec::with_capacity(upright.len());
     for rotation in &upright {
-        let turned = DAffine3::from_mat3(*rotation);
+        // About its own middle, so that it stays as near the origin as it was.
+        let turned = DAffine3::from_translation(middle)
+            * DAffine3::from_mat3(*rotation)
+            * DAffine3::from_translation(-middle);
         let lowest = initial.vertices().iter().map(|v| turned.transform_point3(*v).z);
         let floor = lowest.fold(f64::INFINITY, f64::min);
         let motion = DAffine3::from_translation(DVec3::Z * -floor) * turned;
-        // A rotation about the origin and a shift of at most the part's size keep it finite.
+        // Left out only where it would reach beyond the coordinates meshes may have.
         let Ok(mesh) = initial.transformed(&motion) else { continue };
         found.push((motion, search(&mesh, target, options, ctx)?));
     }

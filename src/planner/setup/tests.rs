@@ -4,20 +4,10 @@ use proptest::prelude::*;
 
 /// Two blocks, one on the other: no symmetry but its own.
 fn stepped() -> TriMesh {
-    union(&[
+    TriMesh::joined(&[
         TriMesh::cuboid(DVec3::ZERO, DVec3::new(60.0, 30.0, 12.0)),
         TriMesh::cuboid(DVec3::new(4.0, 3.0, 12.0), DVec3::new(24.0, 15.0, 40.0)),
     ])
-}
-
-fn union(parts: &[TriMesh]) -> TriMesh {
-    let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
-    for p in parts {
-        let first = vertices.len() as u32;
-        vertices.extend_from_slice(p.vertices());
-        triangles.extend(p.triangles().iter().map(|t| t.map(|i| i + first)));
-    }
-    TriMesh::new(vertices, triangles).unwrap()
 }
 
 fn moved(mesh: &TriMesh, rotation: DMat3, shift: DVec3) -> TriMesh {
@@ -226,7 +216,7 @@ proptest! {
 /// block's own face all of it is.
 #[test]
 fn the_initial_part_is_laid_on_the_face_where_most_is_reused() {
-    let stub = union(&[
+    let stub = TriMesh::joined(&[
         TriMesh::cuboid(DVec3::new(18.0, 12.0, 0.0), DVec3::new(42.0, 28.0, 20.0)),
         TriMesh::cuboid(DVec3::new(0.0, 0.0, 20.0), DVec3::new(60.0, 40.0, 40.0)),
     ]);
