@@ -4,11 +4,12 @@
 //! construction. Which direction comes next is decided by an upper bound computed once per
 //! direction and tool: what it could reach if everything removable were gone. Bounds come from the
 //! coarse grid; what the blocks chosen by them leave is looked for again on the job's own, a few
-//! voxels along every direction. Cuts that an earlier plan for nearly the same took come first.
+//! voxels along every direction. Greedy as that is, the small cuts of the plan that wins are then
+//! chosen anew (`fewest`). Cuts that an earlier plan for nearly the same took come first.
 
 use super::bridges::bridges;
 use super::coarse::Coarse;
-use super::reach::{Bound, Reach, choose, gains};
+use super::reach::{Reach, bounds, bounds_along, choose, gains};
 use super::setting::Setting;
 use crate::access::{Cut, Scene, cutter_maps, over_cut, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
@@ -70,18 +71,7 @@ pub fn cut_blocks(
     ctx: &Ctx,
 ) -> Result<Cutting, Cancelled> {
     let Cuts { removable, deep, samples, before } = *cuts;
-    let kept = setting.job.initial.minus(removable);
-    let unreached = removable.and(deep);
-    let mut cutter = Cutter {
-        setting,
-        coarse,
-        removable,
-        kept: coarse.most(&kept),
-        least: (COARSE_GAIN_SHARE * unreached.count() as f64) as usize,
-        fine_kept: kept,
-        cutters: setting.usual_cutters(),
-        cutting: Cutting { steps: Vec::new(), state: setting.job.initial.clone(), unreached },
-    };
+    let mut cutter = Cutter::new(setting, coarse, removable, deep);
     cutter.repeat(before, ctx)?;
     // Where others follow, the usual cutters need not be looked at closely before them.
     let alone = cutter.cutters.len() == setting.cutters().len();
@@ -90,6 +80,20 @@ pub fn cut_blocks(
         cutter.cutters = setting.cutters();
         cutter.cut(samples, true, ctx)?;
     }
+    Ok(cutter.cutting)
+}
+
+/// Cuts from the initial part, in the ways of some steps and in their order, as far as each still
+/// removes any of the deep material of what is removable.
+pub fn repeated(
+    setting: &Setting,
+    coarse: &Coarse,
+    (removable, deep): (&BitGrid, &BitGrid),
+    ways: &[Step],
+    ctx: &Ctx,
+) -> Result<Cutting, Cancelled> {
+    let mut cutter = Cutter::new(setting, coarse, removable, deep);
+    cutter.repeat(ways, ctx)?;
     Ok(cutter.cutting)
 }
 
@@ -143,7 +147,27 @@ struct Cutter<'s, 'a> {
     cutting: Cutting,
 }
 
-impl<'a> Cutter<'_, 'a> {
+impl<'s, 'a> Cutter<'s, 'a> {
+    fn new(
+        setting: &'s Setting<'a>,
+        coarse: &'s Coarse,
+        removable: &'s BitGrid,
+        deep: &BitGrid,
+    ) -> Self {
+        let kept = setting.job.initial.minus(removable);
+        let unreached = removable.and(deep);
+        Cutter {
+            setting,
+            coarse,
+            removable,
+            kept: coarse.most(&kept),
+            least: (COARSE_GAIN_SHARE * unreached.count() as f64) as usize,
+            fine_kept: kept,
+            cutters: setting.usual_cutters(),
+            cutting: Cutting { steps: Vec::new(), state: setting.job.initial.clone(), unreached },
+        }
+    }
+
     /// Makes the cuts of an earlier plan that still remove anything.
     fn repeat(&mut self, before: &[Step], ctx: &Ctx) -> Result<(), Cancelled> {
         let setting = self.setting;
@@ -233,20 +257,8 @@ impl<'a> Cutter<'_, 'a> {
         directions: &[Direction],
         ctx: &Ctx,
     ) -> Result<Vec<Reach<'a>>, Cancelled> {
-        let frame = &self.coarse.job.frame;
-        let scene = Scene::new(frame, &self.kept, fixed);
-        let cutters = self.cutters;
-        let reach: Vec<Vec<Reach<'a>>> = directions
-            .par_iter()
-            .map(|&direction| {
-                ctx.check()?;
-                let maps = cutter_maps(&scene, wanted, cutters, direction);
-                let bound = |map| Bound::of(&reachable(map, wanted, frame));
-                let tools = cutters.iter().zip(&maps);
-                Ok(tools.map(|(tool, map)| Reach { direction, tool, bound: bound(map) }).collect())
-            })
-            .collect::<Result<_, Cancelled>>()?;
-        Ok(reach.into_iter().flatten().collect())
+        let scene = Scene::new(&self.coarse.job.frame, &self.kept, fixed);
+        bounds(&scene, wanted, self.cutters, directions, ctx)
     }
 
     /// Upper bounds on the job's own grid, for what is left near each coarse bound; of up to `few`
@@ -283,13 +295,7 @@ impl<'a> Cutter<'_, 'a> {
                     true => left.clone(),
                     false => self.coarse.refined(&doubtful, frame.dims).and(left),
                 };
-                let maps = cutter_maps(&scene, &near, cutters, direction);
-                let tools = cutters.iter().zip(&maps);
-                let reach = |(tool, map)| {
-                    let bound = Bound::of(&reachable(map, &near, frame));
-                    Reach { direction, tool, bound }
-                };
-                Ok(tools.map(reach).collect())
+                Ok(bounds_along(&scene, &near, cutters, direction))
             })
             .collect::<Result<_, Cancelled>>()?;
         Ok(fine.into_iter().flatten().collect())

@@ -13,7 +13,7 @@
 
 use super::cutting::{Cuts, cut_blocks, within_reach};
 use super::printing::{Wanted, print_again};
-use super::round::Attempt;
+use super::round::{Attempt, all_of};
 use super::{Options, Run, Start};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Step, StepKind};
@@ -198,13 +198,6 @@ fn small_cuts(made: &Attempt, turns: &Turns, laid: &BitGrid) -> BitGrid {
         .filter(|s| (s.region.count_and(laid) as f64) < least)
         .for_each(|s| small.union_with(&s.region.and(laid)));
     small
-}
-
-/// What some steps lay in all.
-fn all_of(job: &Job, steps: &[Step]) -> BitGrid {
-    let mut all = BitGrid::new(job.frame.dims);
-    steps.iter().for_each(|s| all.union_with(&s.region));
-    all
 }
 
 #[cfg(test)]

@@ -87,34 +87,39 @@ pub fn last_resort(
             (true, Some(known)) => is_better(&known, &best, setting.job).then_some(known),
             (true, None) => {
                 let stock = start.stock_under_planes(&under, run.options, run.ctx)?;
-                rounds(run, &start, (&under, &stock), supports, Some(&best))?
+                rounds(&start, (&under, &stock), supports, Some(&best), (run.options, run.ctx))?
             }
-            (false, _) => rounds(run, &start, (&under, &finished), supports, Some(&best))?,
+            (false, _) => {
+                rounds(&start, (&under, &finished), supports, Some(&best), (run.options, run.ctx))?
+            }
         };
+        run.clock.lap("blocks");
         best = made.unwrap_or(best);
     }
     Ok(best)
 }
 
 /// What comes of planes when the stock below them waits and deposits stand on supports; none where
-/// time is over.
-pub fn on_supports(run: &mut Run, under: &UnderPlanes) -> Result<Option<Attempt>, PlanError> {
-    let setting = run.start.setting.with_last_resort();
-    let start = run.start.in_setting(&setting);
-    let stock = start.stock_under_planes(under, run.options, run.ctx)?;
-    rounds(run, &start, (under, &stock), true, None)
+/// time is over. The setting has the tools of the last resort.
+pub fn on_supports(
+    start: &Start,
+    under: &UnderPlanes,
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<Option<Attempt>, PlanError> {
+    let stock = start.stock_under_planes(under, options, ctx)?;
+    rounds(start, (under, &stock), true, None, (options, ctx))
 }
 
 /// Deposits on a stock and cuts of what then stands outside the target, again and again while that
 /// may leave less; the best of them, if it is better than `than`.
 fn rounds(
-    run: &mut Run,
     start: &Start,
     (under, stock): (&UnderPlanes, &Stock),
     supports: bool,
     than: Option<&Attempt>,
+    (options, ctx): (&Options, &Ctx),
 ) -> Result<Option<Attempt>, PlanError> {
-    let Run { options, clock, ctx, .. } = run;
     let job = start.setting.job;
     let mut better: Option<Attempt> = None;
     let mut care = Care::none(job);
@@ -122,7 +127,6 @@ fn rounds(
     for round in 0..=AGAIN {
         let on = supports.then_some(care.of_supports());
         let made = start.finished(under, stock, on, &before, options, ctx)?;
-        clock.lap("blocks");
         tracing::debug!(supports, "last resort");
         made.tell("last resort", round);
         let best = better.as_ref().or(than);

@@ -41,9 +41,13 @@ pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pla
     let cells = Coarse::cells(job);
     let ideal = job.ideal_reuse();
     let scope = Scope::new(start.setting, &cells, &ideal);
-    let mut route = Route { start, scope, cells: &cells, normals, options };
+    let route = Route { start, scope, cells: &cells, normals, options };
+    let coarse_job = start.coarse.as_job();
+    let (setting, look) = (Setting::new(&coarse_job), Coarse::of(&coarse_job));
+    let make =
+        |clips| attempt(&setting, &look, clips, &start.preferred, (*options, Mending::None), ctx);
     let chosen = match start.coarse.is_coarser() {
-        true => route.on_coarse_grid(report, clock, ctx)?,
+        true => route.on_coarse_grid(make, report, clock, ctx)?,
         false => Vec::new(),
     };
     let dims = job.frame.dims;
@@ -111,17 +115,16 @@ struct Route<'a> {
 }
 
 impl Route<'_> {
-    /// Rounds on the coarse grid; the choice that did best there.
+    /// Rounds on the coarse grid, blocks made by `make`; the choice that did best there.
     fn on_coarse_grid(
-        &mut self,
+        &self,
+        make: impl Fn(Vec<Clip>) -> Result<Attempt, PlanError>,
         report: &mut Report,
         clock: &mut Clock,
         ctx: &Ctx,
     ) -> Result<Vec<Candidate>, PlanError> {
         let coarse = &self.start.coarse;
         let job = coarse.as_job();
-        let setting = Setting::new(&job);
-        let look = Coarse::of(&job);
         let dims = self.start.setting.job.frame.dims;
         let mut chosen: Vec<Candidate> = Vec::new();
         let mut best: Option<(Attempt, Vec<Candidate>)> = None;
@@ -130,10 +133,7 @@ impl Route<'_> {
                 let seeds = coarse.any(&self.cells.refined(&c.seeds, dims));
                 Clip { plane: c.plane, seeds: Some(seeds) }
             });
-            let clips: Vec<Clip> = clips.collect();
-            let preferred = &self.start.preferred;
-            let made =
-                attempt(&setting, &look, clips, preferred, (self.options, Mending::None), ctx)?;
+            let made = make(clips.collect())?;
             clock.lap("blocks");
             made.tell("coarse", round);
             let left = [made.excess.minus(&made.below), made.deficit.clone()];

@@ -36,6 +36,7 @@
 //!   is printed on supports, and both are cut at the end, with slender tools if need be, if that
 //!   leaves less (`last_resort`); of large parts at once, where a coarse look says that the rules'
 //!   deviation cannot be met without. The paper does without supports, to save their material.
+//! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
 //!   paper names a finishing cut as future work.
@@ -56,6 +57,7 @@ mod clip;
 mod coarse;
 mod compared;
 mod cutting;
+mod fewest;
 mod finish;
 mod glance;
 mod global;
@@ -89,6 +91,7 @@ use candidates::{Admissible, Element};
 use clip::Clip;
 use coarse::Coarse;
 use compared::{bottom_up, top_down};
+use fewest::with_fewest_cuts;
 use finish::finished;
 use global::{choose, global_route, most_promising};
 use last_resort::{UnderPlanes, last_resort, on_supports};
@@ -342,6 +345,7 @@ fn one_round(
     }
     let mut best = best.ok_or(PlanError::Cancelled)?;
     run.report.note_supports(job, best.printed_aside(job).count(), was_made);
+    best = with_fewest_cuts(&run, best)?;
     if options.finish_mm > 0.0 {
         best = finished(&mut run, best)?;
     }
@@ -370,7 +374,10 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
         if waits && under.volumes.added.count() > LOCAL_VOXELS {
             run.report.tell_planes(job, &promise.planes);
             run.report.notes = promise.notes;
-            run.on_supports = on_supports(run, &under)?;
+            let setting = run.start.setting.with_last_resort();
+            let start = run.start.in_setting(&setting);
+            run.on_supports = on_supports(&start, &under, run.options, run.ctx)?;
+            run.clock.lap("blocks");
             if run.on_supports.as_ref().is_some_and(|made| is_complete(made, job)) {
                 run.report.note_too_large(under.volumes.added.count());
                 return Ok(run.on_supports.take().into_iter().collect());

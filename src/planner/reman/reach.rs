@@ -1,6 +1,7 @@
 //! What directions and tools could reach at best, and which of them comes next.
 
-use crate::base::Direction;
+use crate::access::{Scene, cutter_maps, reachable};
+use crate::base::{Cancelled, Ctx, Direction};
 use crate::machine::Tool;
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
@@ -34,6 +35,15 @@ impl Bound {
         self.words.iter().map(|w| both(w).count_ones() as usize).sum()
     }
 
+    /// Numbers of its voxels, the same in all bounds on grids of one size; they ascend.
+    pub fn ids(&self) -> Vec<usize> {
+        let of_word = |(i, word): &(u32, u64)| {
+            let (first, word) = (*i as usize * 64, *word);
+            (0..64).filter(move |b| word >> b & 1 == 1).map(move |b| first + b)
+        };
+        self.words.iter().flat_map(of_word).collect()
+    }
+
     /// Adds them to a grid.
     pub fn add_to(&self, grid: &mut BitGrid) {
         let (per_row, ny) = (grid.words_per_row().max(1), grid.dims()[1].max(1));
@@ -42,6 +52,39 @@ impl Bound {
             grid.row_mut(row % ny, row / ny)[*i as usize % per_row] |= word;
         }
     }
+}
+
+/// What of `wanted` each direction could reach with each cutter, in a scene where just what stays
+/// stands. The cutters of one direction stand together.
+pub fn bounds<'a>(
+    scene: &Scene,
+    wanted: &BitGrid,
+    cutters: &'a [Tool],
+    directions: &[Direction],
+    ctx: &Ctx,
+) -> Result<Vec<Reach<'a>>, Cancelled> {
+    let along = |direction: &Direction| {
+        ctx.check()?;
+        Ok(bounds_along(scene, wanted, cutters, *direction))
+    };
+    let reach: Vec<Vec<Reach<'a>>> =
+        directions.par_iter().map(along).collect::<Result<_, Cancelled>>()?;
+    Ok(reach.into_iter().flatten().collect())
+}
+
+/// The same along one direction.
+pub fn bounds_along<'a>(
+    scene: &Scene,
+    wanted: &BitGrid,
+    cutters: &'a [Tool],
+    direction: Direction,
+) -> Vec<Reach<'a>> {
+    let maps = cutter_maps(scene, wanted, cutters, direction);
+    let reach = |(tool, map)| {
+        let bound = Bound::of(&reachable(map, wanted, &scene.frame));
+        Reach { direction, tool, bound }
+    };
+    cutters.iter().zip(&maps).map(reach).collect()
 }
 
 /// Voxels of `left` that each could reach.

@@ -239,6 +239,13 @@ pub fn printed(
     Ok(best)
 }
 
+/// What some steps cut, or lay, in all.
+pub fn all_of(job: &Job, steps: &[Step]) -> BitGrid {
+    let mut all = BitGrid::new(job.frame.dims);
+    steps.iter().for_each(|s| all.union_with(&s.region));
+    all
+}
+
 /// The volumes when everything above the planes is given up.
 pub fn volumes(job: &Job, clips: &[Clip]) -> Volumes {
     let ideal = job.ideal_reuse();
