@@ -29,6 +29,10 @@ use crate::voxel::{BitGrid, distance_within};
 /// printed first: each time costs as much as the first, and the third leaves few.
 const AGAIN: usize = 5;
 
+/// So often in a row a round may leave more than the one before it: on the cow one did before the last
+/// left nothing, on a bracket all five did.
+const MOST_RISES: usize = 2;
+
 /// How far around what was missing is printed first, mm: enough for a block with a bead in it.
 const AHEAD_MM: f64 = 1.5;
 
@@ -124,6 +128,8 @@ fn rounds(
     let mut better: Option<Attempt> = None;
     let mut care = Care::none(job);
     let mut before = Vec::new();
+    // How much the rounds before left, and how often in a row one left more than the one before it.
+    let (mut left, mut rises) = (usize::MAX, 0);
     for round in 0..=AGAIN {
         let on = supports.then_some(care.of_supports());
         let made = start.finished(under, stock, on, &before, options, ctx)?;
@@ -131,7 +137,9 @@ fn rounds(
         made.tell("last resort", round);
         let best = better.as_ref().or(than);
         let is_worse = best.is_some_and(|b| made.left() > b.left()) && !few_crumbs(&made, job);
-        let ends = !supports || is_worse || ctx.out_of_time();
+        rises = if made.left() > left { rises + 1 } else { 0 };
+        left = made.left();
+        let ends = !supports || is_worse || rises == MOST_RISES || ctx.out_of_time();
         let again = !ends && care.learn(start, &made, options, ctx)?;
         before = made.cuts_after(stock.cuts.len());
         if best.is_none_or(|b| is_better(&made, b, job)) {

@@ -36,6 +36,8 @@
 //!   is printed on supports, and both are cut at the end, with slender tools if need be, if that
 //!   leaves less (`last_resort`); of large parts at once, where a coarse look says that the rules'
 //!   deviation cannot be met without. The paper does without supports, to save their material.
+//! - Where global planes leave more than the rules allow and give something up, and supports would not
+//!   mend that, all is printed on the part as it is, before any cut (`printed_first`).
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
@@ -68,6 +70,7 @@ mod local;
 #[cfg(test)]
 mod local_tests;
 mod locals;
+mod printed_first;
 mod printing;
 mod reach;
 mod reasons;
@@ -96,6 +99,7 @@ use finish::finished;
 use global::{choose, global_route, most_promising};
 use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
+use printed_first::{Leaves, glimpse, printed_first};
 use report::Clock;
 pub use report::Report;
 use round::{Attempt, RESIDUAL_WEIGHT, deep, volumes};
@@ -225,6 +229,8 @@ struct Run<'a> {
     options: &'a Options,
     /// What supports made of the first planes, where that was looked at before all else.
     on_supports: Option<Attempt>,
+    /// What came of printing first, where that was tried and is within the rules.
+    printed_first: Option<Attempt>,
     report: Report,
     clock: Clock,
     ctx: &'a Ctx,
@@ -322,9 +328,16 @@ fn one_round(
     report.tell_planes(job, &planes);
     clock.lap("set_cover");
     let start = Start { setting, coarse: &coarse, preferred, bad_bases };
-    let on_supports = None;
-    let mut run =
-        Run { start: &start, normals: &normals, options, on_supports, report, clock, ctx };
+    let mut run = Run {
+        start: &start,
+        normals: &normals,
+        options,
+        on_supports: None,
+        printed_first: None,
+        report,
+        clock,
+        ctx,
+    };
     let attempts = match options.search {
         Search::Mcts | Search::Random => searched(&mut run, &first)?,
         Search::TopDown => vec![top_down(&mut run, planes)?],
@@ -332,7 +345,7 @@ fn one_round(
     };
     // None printed outside the target but where the plan without supports was passed over.
     let was_made = attempts.iter().all(|a| a.printed_aside(job).is_empty());
-    let mut best: Option<Attempt> = None;
+    let mut best = run.printed_first.take();
     for attempt in attempts {
         if best.as_ref().is_some_and(|b| is_complete(b, job)) {
             break;
@@ -355,7 +368,7 @@ fn one_round(
     Ok((best, report))
 }
 
-/// Attempts, the best first: with global planes, and with local ones where those gave up much or
+/// Attempts, the best first, none where printing first is enough: with global planes, and with local ones where those gave up much or
 /// left something.
 fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
     let job = run.start.setting.job;
@@ -388,6 +401,15 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
     let kept = global.volumes.reused.count() as f64;
     let most = first.reused.count() as f64;
     let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
+    if more && run.options.supports && !global.is_valid(job) && !run.ctx.out_of_time() {
+        // Where supports under the planes may leave nothing, that is for the last resort.
+        let is_hopeful = glimpse(run, &global.clips)? == Some(Leaves::Nothing);
+        let made = if is_hopeful { None } else { printed_first(run)? };
+        run.printed_first = made.filter(|m| m.is_valid(job));
+        if run.printed_first.is_some() {
+            return Ok(Vec::new());
+        }
+    }
     let too_large = global.printed() > LOCAL_VOXELS;
     if too_large && !is_complete(&global, job) {
         run.report.note_too_large(global.printed());

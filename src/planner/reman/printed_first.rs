@@ -1,0 +1,145 @@
+//! Printing first: nothing given up for it.
+//!
+//! Method. What is missing is printed on the initial part as it is, straight up and on supports where
+//! nothing else carries it, then along every direction; what stands outside the target is cut after
+//! that, and what is still missing printed (`last_resort` without planes). A worn part has little to
+//! be cut and much that a plane would give up. The coarse grid, on which it takes a second, says
+//! whether it is worth making.
+//!
+//! Guarantees: those of cuts and deposits. Not guaranteed: that nothing is left. What no nozzle
+//! reaches beside that which is reused stays missing.
+
+use super::clip::Clip;
+use super::coarse::Coarse;
+use super::last_resort::{UnderPlanes, on_supports};
+use super::round::Attempt;
+use super::setting::Setting;
+use super::{Run, Start};
+use crate::planner::PlanError;
+
+/// What comes of printing first; none where the coarse grid shows that it leaves more than the rules
+/// allow, or time is over.
+pub fn printed_first(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
+    if glimpse(run, &[])?.is_none_or(|leaves| leaves == Leaves::TooMuch) {
+        return Ok(None);
+    }
+    let setting = run.start.setting.with_last_resort();
+    let start = run.start.in_setting(&setting);
+    let under = UnderPlanes::of(setting.job, Vec::new());
+    let made = on_supports(&start, &under, run.options, run.ctx)?;
+    made.iter().for_each(|m| m.tell("printed first", 0));
+    run.clock.lap("blocks");
+    Ok(made)
+}
+
+/// What some way of making a plan leaves on the coarse grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Leaves {
+    /// Nothing, or nothing is told: the grid is so coarse that nothing would hold the part.
+    Nothing,
+    /// What the rules allow.
+    Little,
+    TooMuch,
+}
+
+/// What supports and waiting stock leave under some planes, on the coarse grid; none where time is
+/// over.
+pub fn glimpse(run: &mut Run, clips: &[Clip]) -> Result<Option<Leaves>, PlanError> {
+    let Run { start, options, clock, ctx, .. } = run;
+    let job = start.coarse.as_job();
+    let setting = Setting::new(&job).with_last_resort();
+    let (coarse, preferred) = (Coarse::of(&job), start.preferred.clone());
+    let of_look = Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() };
+    let clips = clips.iter().map(|c| {
+        let seeds = c.seeds.as_ref().map(|s| start.coarse.any(s));
+        Clip { seeds, ..c.clone() }
+    });
+    let under = UnderPlanes::of(&job, clips.collect());
+    let made = on_supports(&of_look, &under, options, ctx)?;
+    clock.lap("blocks");
+    let Some(made) = made else { return Ok(None) };
+    made.tell("glimpse", 0);
+    Ok(Some(match made.rank(&job).0 {
+        _ if made.volumes.reused.is_empty() => Leaves::Nothing,
+        0 => Leaves::Nothing,
+        1 => Leaves::Little,
+        _ => Leaves::TooMuch,
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::local_tests::job_of;
+    use super::super::{Clock, Options, Report, Run, plane_normals};
+    use super::*;
+    use crate::base::{Ctx, DVec3, Direction};
+    use crate::machine::Taken;
+    use crate::plan::{Job, Plan, Plane, StepKind};
+    use crate::verify::verify;
+    use crate::voxel::{BitGrid, Frame};
+
+    const DIMS: [usize; 3] = [34, 30, 26];
+
+    fn block(v: [usize; 3]) -> bool {
+        (3..31).contains(&v[0]) && (3..27).contains(&v[1]) && (1..18).contains(&v[2])
+    }
+
+    /// A block that has to be whole, a little too long, with something missing.
+    fn job(missing: impl Fn([usize; 3]) -> bool + Sync) -> Job {
+        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+        let target = BitGrid::from_fn(DIMS, |v| block(v) && v[0] < 28);
+        let initial = BitGrid::from_fn(DIMS, |v| block(v) && !missing(v));
+        job_of(frame, initial, target, |t| t.taken == Taken::Always)
+    }
+
+    fn with_run<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
+        let (setting, coarse, ctx) = (Setting::new(job), Coarse::of(job), Ctx::quiet());
+        let (normals, options) = (plane_normals(job, 20), Options::default());
+        let preferred = vec![Direction::Z];
+        let start = Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() };
+        ask(&mut Run {
+            start: &start,
+            normals: &normals,
+            options: &options,
+            on_supports: None,
+            printed_first: None,
+            report: Report::default(),
+            clock: Clock::default(),
+            ctx: &ctx,
+        })
+    }
+
+    /// Worn on top: a bowl is no base for a plane to keep, but it is filled from above.
+    #[test]
+    fn a_worn_top_is_filled_before_anything_is_cut() {
+        let bowl = |v: [usize; 3]| {
+            let r2 = (v[0] as f64 - 14.0).powi(2) + (v[1] as f64 - 14.0).powi(2);
+            v[2] as f64 >= 11.0 + r2 / 12.0
+        };
+        let job = job(bowl);
+        let made = with_run(&job, |run| printed_first(run).unwrap().unwrap());
+        assert_eq!(made.left(), 0);
+        assert_eq!(made.volumes.reused, job.ideal_reuse(), "nothing is given up");
+        let first = made.steps.iter().position(|s| s.kind == StepKind::Subtractive);
+        assert!(first.is_some_and(|f| f > 0), "the end comes off after the first deposit");
+        let mut steps = made.steps;
+        let holdings = Setting::new(&job).numbered(&mut steps);
+        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
+        assert!(verdict.passed(), "{:?}", verdict.rules);
+    }
+
+    /// A hollow that no nozzle gets into asks for a plane, whose look says so.
+    #[test]
+    fn a_closed_hollow_is_not_worth_the_try() {
+        let hollow =
+            |v: [usize; 3]| v.iter().zip([8..20, 8..20, 5..13]).all(|(c, r)| r.contains(c));
+        let job = job(hollow);
+        assert!(with_run(&job, |run| printed_first(run).unwrap().is_none()));
+        let seen = |offset: f64| {
+            let clip = Clip::global(Plane { normal: Direction::Z, offset });
+            with_run(&job, |run| glimpse(run, std::slice::from_ref(&clip)).unwrap())
+        };
+        assert_eq!(seen(100.0), Some(Leaves::TooMuch));
+        assert_eq!(seen(5.0), Some(Leaves::Nothing));
+    }
+}
