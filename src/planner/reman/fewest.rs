@@ -68,39 +68,36 @@ impl Way<'_> {
 pub fn with_fewest_cuts(run: &Run, attempt: Attempt) -> Result<Attempt, PlanError> {
     let setting = run.start.setting.with_last_resort();
     let start = run.start.in_setting(&setting);
-    let mut state = setting.job.initial.clone();
-    let mut steps: Vec<Step> = Vec::new();
-    let mut cuts = 0;
     let skin = setting.skin(&attempt.volumes.reused);
     let none = BitGrid::new(skin.dims());
-    let (first, others) = attempt.steps.split_at(attempt.cuts);
-    let last = attempt.steps.last();
-    for turn in std::iter::once(first).chain(others.chunk_by(|a, b| a.kind == b.kind)) {
-        let Some(kind) = turn.first().map(|s| s.kind) else { continue };
-        let after = match kind {
-            StepKind::Subtractive => state.minus(&all_of(setting.job, turn)),
-            StepKind::Additive => state.or(&all_of(setting.job, turn)),
-        };
-        let shorter = match kind {
-            StepKind::Subtractive if !run.ctx.out_of_time() => {
-                // What comes later may need the room of the skin.
-                let is_last = turn.last().zip(last).is_some_and(|(a, b)| std::ptr::eq(a, b));
-                let spare = if is_last { &skin } else { &none };
-                start.shorter(&state, turn, spare, (run.options.directions, run.ctx))?
-            }
-            _ => None,
-        };
-        steps.extend(shorter.unwrap_or_else(|| turn.to_vec()));
-        if std::ptr::eq(turn, first) {
-            cuts = steps.len();
+    let mut state = setting.job.initial.clone();
+    let (mut steps, mut stock, mut cuts): (Vec<Step>, _, _) = (Vec::new(), state.clone(), 0);
+    let mut turns = attempt.steps.chunk_by(|a, b| a.kind == b.kind).peekable();
+    while let Some(turn) = turns.next() {
+        if turn[0].kind == StepKind::Additive {
+            state.union_with(&all_of(setting.job, turn));
+            steps.extend_from_slice(turn);
+            continue;
         }
-        state = after;
+        // What comes later may need the room of the skin.
+        let spare = if turns.peek().is_none() { &skin } else { &none };
+        let shorter = match run.ctx.out_of_time() {
+            true => None,
+            false => start.shorter(&state, turn, spare, (run.options.directions, run.ctx))?,
+        };
+        let is_first = steps.is_empty();
+        let made = shorter.unwrap_or_else(|| turn.to_vec());
+        state.subtract(&all_of(setting.job, &made));
+        steps.extend(made);
+        if is_first {
+            (cuts, stock) = (steps.len(), state.clone());
+        }
     }
     for kind in [StepKind::Subtractive, StepKind::Additive] {
         let of_kind = steps.iter_mut().filter(|s| s.kind == kind);
         of_kind.enumerate().for_each(|(i, s)| s.block = i);
     }
-    Ok(Attempt { steps, cuts, ..attempt })
+    Ok(Attempt { steps, cuts, stock, ..attempt })
 }
 
 /// What a list of cuts costs: each of them, and each time the part is held anew.

@@ -103,16 +103,17 @@ pub fn last_resort(
     Ok(best)
 }
 
-/// What comes of planes when the stock below them waits and deposits stand on supports; none where
-/// time is over. The setting has the tools of the last resort.
+/// What comes of planes when the stock below them waits and deposits stand on supports. The setting
+/// has the tools of the last resort.
 pub fn on_supports(
     start: &Start,
     under: &UnderPlanes,
     options: &Options,
     ctx: &Ctx,
-) -> Result<Option<Attempt>, PlanError> {
+) -> Result<Attempt, PlanError> {
     let stock = start.stock_under_planes(under, options, ctx)?;
-    rounds(start, (under, &stock), true, None, (options, ctx))
+    let made = rounds(start, (under, &stock), true, None, (options, ctx))?;
+    made.ok_or(PlanError::Cancelled)
 }
 
 /// Deposits on a stock and cuts of what then stands outside the target, again and again while that

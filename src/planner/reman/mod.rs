@@ -368,8 +368,8 @@ fn one_round(
     Ok((best, report))
 }
 
-/// Attempts, the best first, none where printing first is enough: with global planes, and with local ones where those gave up much or
-/// left something.
+/// Attempts, the best first: with global planes, and with local ones where those gave up much or left
+/// something; none where printing first is enough.
 fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
     let job = run.start.setting.job;
     let normals = run.normals;
@@ -389,7 +389,7 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
             run.report.notes = promise.notes;
             let setting = run.start.setting.with_last_resort();
             let start = run.start.in_setting(&setting);
-            run.on_supports = on_supports(&start, &under, run.options, run.ctx)?;
+            run.on_supports = Some(on_supports(&start, &under, run.options, run.ctx)?);
             run.clock.lap("blocks");
             if run.on_supports.as_ref().is_some_and(|made| is_complete(made, job)) {
                 run.report.note_too_large(under.volumes.added.count());
@@ -403,7 +403,7 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
     let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;
     if more && run.options.supports && !global.is_valid(job) && !run.ctx.out_of_time() {
         // Where supports under the planes may leave nothing, that is for the last resort.
-        let is_hopeful = glimpse(run, &global.clips)? == Some(Leaves::Nothing);
+        let is_hopeful = glimpse(run, &global.clips)? == Leaves::Nothing;
         let made = if is_hopeful { None } else { printed_first(run)? };
         run.printed_first = made.filter(|m| m.is_valid(job));
         if run.printed_first.is_some() {

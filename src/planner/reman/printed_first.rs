@@ -18,18 +18,18 @@ use super::{Run, Start};
 use crate::planner::PlanError;
 
 /// What comes of printing first; none where the coarse grid shows that it leaves more than the rules
-/// allow, or time is over.
+/// allow.
 pub fn printed_first(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
-    if glimpse(run, &[])?.is_none_or(|leaves| leaves == Leaves::TooMuch) {
+    if glimpse(run, &[])? == Leaves::TooMuch {
         return Ok(None);
     }
     let setting = run.start.setting.with_last_resort();
     let start = run.start.in_setting(&setting);
     let under = UnderPlanes::of(setting.job, Vec::new());
     let made = on_supports(&start, &under, run.options, run.ctx)?;
-    made.iter().for_each(|m| m.tell("printed first", 0));
+    made.tell("printed first", 0);
     run.clock.lap("blocks");
-    Ok(made)
+    Ok(Some(made))
 }
 
 /// What some way of making a plan leaves on the coarse grid.
@@ -42,9 +42,8 @@ pub enum Leaves {
     TooMuch,
 }
 
-/// What supports and waiting stock leave under some planes, on the coarse grid; none where time is
-/// over.
-pub fn glimpse(run: &mut Run, clips: &[Clip]) -> Result<Option<Leaves>, PlanError> {
+/// What supports and waiting stock leave under some planes, on the coarse grid.
+pub fn glimpse(run: &mut Run, clips: &[Clip]) -> Result<Leaves, PlanError> {
     let Run { start, options, clock, ctx, .. } = run;
     let job = start.coarse.as_job();
     let setting = Setting::new(&job).with_last_resort();
@@ -57,14 +56,15 @@ pub fn glimpse(run: &mut Run, clips: &[Clip]) -> Result<Option<Leaves>, PlanErro
     let under = UnderPlanes::of(&job, clips.collect());
     let made = on_supports(&of_look, &under, options, ctx)?;
     clock.lap("blocks");
-    let Some(made) = made else { return Ok(None) };
     made.tell("glimpse", 0);
-    Ok(Some(match made.rank(&job).0 {
-        _ if made.volumes.reused.is_empty() => Leaves::Nothing,
+    let reused = made.volumes.reused.count();
+    // All that is left counts: what is open only below is no better than the rest here.
+    Ok(match made.standing(&job, reused).class {
+        _ if reused == 0 => Leaves::Nothing,
         0 => Leaves::Nothing,
         1 => Leaves::Little,
         _ => Leaves::TooMuch,
-    }))
+    })
 }
 
 #[cfg(test)]
@@ -139,7 +139,7 @@ mod tests {
             let clip = Clip::global(Plane { normal: Direction::Z, offset });
             with_run(&job, |run| glimpse(run, std::slice::from_ref(&clip)).unwrap())
         };
-        assert_eq!(seen(100.0), Some(Leaves::TooMuch));
-        assert_eq!(seen(5.0), Some(Leaves::Nothing));
+        assert_eq!(seen(100.0), Leaves::TooMuch);
+        assert_eq!(seen(5.0), Leaves::Nothing);
     }
 }
