@@ -22,6 +22,7 @@ pub struct Posted {
     /// Each step as a program of its own, when the whole may be handed out.
     pub steps: Vec<String>,
     pub step_seconds: Vec<f64>,
+    pub time_s: f64,
     /// Volumes that the program lays and removes, mm³.
     pub deposited_mm3: f64,
     pub removed_mm3: f64,
@@ -175,8 +176,9 @@ pub fn post<T: Send>(
                 text: fit.then(|| program.text().to_string()),
                 steps: if fit { program.steps() } else { Vec::new() },
                 step_seconds: report.steps.iter().map(|s| s.time_s).collect(),
-                deposited_mm3: report.steps.iter().map(|s| s.deposited_mm3).sum(),
-                removed_mm3: report.steps.iter().map(|s| s.removed_mm3).sum(),
+                time_s: report.time_s(),
+                deposited_mm3: report.total(|s| s.deposited_mm3),
+                removed_mm3: report.total(|s| s.removed_mm3),
                 rules: program_rules(&report),
             }
         }

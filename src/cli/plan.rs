@@ -106,7 +106,7 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
             path: output::PROGRAM.into(),
             sha256: digest(text.as_bytes()),
             lines: text.lines().count(),
-            time_s: posted.step_seconds.iter().sum(),
+            time_s: posted.time_s,
             deposited_mm3: posted.deposited_mm3,
             removed_mm3: posted.removed_mm3,
         }),

@@ -139,6 +139,11 @@ impl CheckReport {
 
     /// Seconds the whole program takes.
     pub fn time_s(&self) -> f64 {
-        self.steps.iter().map(|s| s.time_s).sum()
+        self.total(|s| s.time_s)
+    }
+
+    /// The sum of a figure over all steps; 0 of none, where the sum of no numbers would be −0.
+    pub fn total(&self, figure: impl Fn(&StepFigures) -> f64) -> f64 {
+        self.steps.iter().map(figure).fold(0.0, |all, one| all + one)
     }
 }
