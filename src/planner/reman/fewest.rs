@@ -6,8 +6,8 @@
 //! ways of the cuts that stay cost nothing. The cuts of the cover are made after the large ones of
 //! their holding, and the plan's own after them, as far as they still remove anything.
 //!
-//! Guarantees: those of cuts, and the same state after the run; a plan changes only where it gets
-//! shorter. As clamped, where the cover's cuts do it alone, no fewer of the ways do it beside the
+//! Guarantees: those of cuts, and the same state after the run, but for skin that the plan's last cuts
+//! may leave as stock; a plan changes only where it gets shorter. As clamped, where the cover's cuts do it alone, no fewer of the ways do it beside the
 //! cuts that stay: in no order does a cut reach beyond its set. Not guaranteed: that they do it
 //! alone, or that the large cuts are the fewest.
 
