@@ -4,6 +4,8 @@
 //! first search for local planes (`refine`), blocks are made again, and so on. The rounds are made
 //! on a coarse grid, where one takes a second; if the best choice promises to keep more than the
 //! global planes do, it is made on the job's own grid, and what that leaves gets rounds of its own.
+//! Where that grid's rounds all leave more than the rules allow, planes are looked for once more,
+//! for what would be left with supports (`last_resort`); these are made as they are.
 //!
 //! What differs from the paper: it splits the global planes of the set cover into local ones and
 //! turns those. A base that is not plano-convex can often be printed all the same, in several
@@ -11,6 +13,7 @@
 
 use super::clip::Clip;
 use super::coarse::Coarse;
+use super::last_resort::{UnderPlanes, on_supports};
 use super::local::{Candidate, Scope};
 use super::refine::refine;
 use super::round::{Attempt, Mending, attempt, volumes};
@@ -42,13 +45,9 @@ pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pla
     let ideal = job.ideal_reuse();
     let scope = Scope::new(start.setting, &cells, &ideal);
     let route = Route { start, scope, cells: &cells, normals, options };
-    let coarse_job = start.coarse.as_job();
-    let (setting, look) = (Setting::new(&coarse_job), Coarse::of(&coarse_job));
-    let make =
-        |clips| attempt(&setting, &look, clips, &start.preferred, (*options, Mending::None), ctx);
-    let chosen = match start.coarse.is_coarser() {
-        true => route.on_coarse_grid(make, report, clock, ctx)?,
-        false => Vec::new(),
+    let (chosen, need_supports) = match start.coarse.is_coarser() {
+        true => route.chosen(report, clock, ctx)?,
+        false => (Vec::new(), false),
     };
     let dims = job.frame.dims;
     let clips: Vec<Clip> = chosen.iter().map(|c| fine_clip(c, &cells, dims)).collect();
@@ -60,7 +59,8 @@ pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pla
     let made = start.attempt(clips, options, ctx)?;
     clock.lap("blocks");
     made.tell("local", 0);
-    improved(run, made).map(Some)
+    // Planes more would be chosen for what the blocks leave without supports.
+    if need_supports { Ok(Some(made)) } else { improved(run, made).map(Some) }
 }
 
 /// An attempt with local planes added for what it left, as long as that makes it better.
@@ -115,6 +115,34 @@ struct Route<'a> {
 }
 
 impl Route<'_> {
+    /// The planes that do best on the coarse grid, and whether only supports make them do so.
+    fn chosen(
+        &self,
+        report: &mut Report,
+        clock: &mut Clock,
+        ctx: &Ctx,
+    ) -> Result<(Vec<Candidate>, bool), PlanError> {
+        let (start, options) = (self.start, self.options);
+        let job = start.coarse.as_job();
+        let (setting, look) = (Setting::new(&job), Coarse::of(&job));
+        let make = |clips| {
+            attempt(&setting, &look, clips, &start.preferred, (options, Mending::None), ctx)
+        };
+        let (plain, chosen) = self.on_coarse_grid(make, report, clock, ctx)?;
+        if plain.is_valid(&job) || !options.supports || ctx.out_of_time() {
+            return Ok((chosen, false));
+        }
+        let setting = setting.with_last_resort();
+        let preferred = start.preferred.clone();
+        let of_look = Start { setting: &setting, coarse: &look, preferred, bad_bases: Vec::new() };
+        let make = |clips| on_supports(&of_look, &UnderPlanes::of(&job, clips), options, ctx);
+        let (supported, others) = self.on_coarse_grid(make, report, clock, ctx)?;
+        match supported.rank(&job) < plain.rank(&job) {
+            true => Ok((others, true)),
+            false => Ok((chosen, false)),
+        }
+    }
+
     /// Rounds on the coarse grid, blocks made by `make`; the choice that did best there.
     fn on_coarse_grid(
         &self,
@@ -122,7 +150,7 @@ impl Route<'_> {
         report: &mut Report,
         clock: &mut Clock,
         ctx: &Ctx,
-    ) -> Result<Vec<Candidate>, PlanError> {
+    ) -> Result<(Attempt, Vec<Candidate>), PlanError> {
         let coarse = &self.start.coarse;
         let job = coarse.as_job();
         let dims = self.start.setting.job.frame.dims;
@@ -154,7 +182,7 @@ impl Route<'_> {
             }
             chosen.extend(more);
         }
-        Ok(best.map(|(_, chosen)| chosen).unwrap_or_default())
+        best.ok_or(PlanError::Cancelled)
     }
 
     /// The pieces of what is left (on the job's grid) as regions of cells, the largest first.
