@@ -2,7 +2,7 @@
 //!
 //! Costs are per voxel moved, of additive tools c_AM and of subtractive ones c_SM. The estimate of
 //! Eq. 39 takes the cheapest tool of either kind, so that it never exceeds what is to be paid. It
-//! is charged for what a goal leaves as well: within δ the rest counts as if it were moved.
+//! is charged for what a goal leaves as well: within δ the rest, and skin, count as if they were moved.
 
 use super::Options;
 use crate::plan::{Job, StepKind};
@@ -57,14 +57,13 @@ impl Costs {
         (self.least_cutter + self.least_nozzle) * voxels as f64
     }
 
-    /// Voxels that a goal may be off by.
+    /// Voxels that a goal may be off by, skin aside.
     pub fn slack(&self) -> usize {
         (self.delta * self.target as f64).floor() as usize
     }
 
-    /// Eq. 38.
-    pub fn is_goal(&self, excess: usize, deficit: usize) -> bool {
-        let off = excess + deficit;
+    /// Eq. 38 of a state that is so many voxels off, skin aside.
+    pub fn is_goal(&self, off: usize) -> bool {
         off == 0 || (off as f64) < self.delta * self.target as f64
     }
 }

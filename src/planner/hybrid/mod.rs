@@ -28,8 +28,9 @@
 //! - An under-cut is not made before a lower bound of its cost lets it pass.
 //! - Overhangs up to 45° carry themselves unless [`Options::overhang_deg`] says otherwise; the
 //!   paper has columns.
-//! - The cost of a plan charges what it leaves within δ as if it were moved, which makes w = 0
-//!   exact.
+//! - The goal test (Eq. 38) does not count skin: the rules of a plan do not either.
+//! - The cost of a plan charges what it leaves within δ, and skin, as if it were moved, which makes
+//!   w = 0 exact.
 //!
 //! Guarantees: each step is valid by the maps of [`crate::access`]; with w = 0 the plan found is a
 //! cheapest one of these actions within the steps allowed. The same job gives the same plan, time
@@ -158,7 +159,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         return Err(PlanError::NoTool { kind: "subtractive or additive" });
     }
     let shop = Shop::new(job, options, ctx);
-    let start = shop.state(&job.initial, 0);
+    let start = shop.start();
     let limits = IdaOptions {
         weight: options.weight,
         most_steps: options.most_steps,

@@ -2,7 +2,8 @@
 //! cuts that the depth engine calls reached, as all of this planner are.
 //!
 //! Let O = P₀ ∩ P be what the start has of the target and X what of P₀ − P no cutter reaches along
-//! any direction while O stands. A voxel x is removed at some step by a tool at a position free of
+//! any direction while O stands, without the skin of O (what is reused in the end is part of O, and
+//! its skin part of O's). A voxel x is removed at some step by a tool at a position free of
 //! that step's output. Tools go up without end and never narrow, so the tool holds all that lies
 //! straight above x along its direction, and all n_d(x) voxels of O there have been removed by then;
 //! at least one of O has, or x were reached while O stands. Each of them is paid for: c_SM when it
@@ -14,14 +15,15 @@
 
 use super::cutting::reached;
 use super::world::Shop;
-use crate::voxel::BitGrid;
+use crate::voxel::{BitGrid, distance_within};
 
 /// Voxels that any plan from `solid` to a goal removes from the target, at least; `off` is what a
 /// goal may be off by.
 pub fn least_sacrifice(shop: &Shop, solid: &BitGrid, off: usize) -> usize {
     let target = &shop.job.target;
     let kept = solid.and(target);
-    let mut hidden = solid.minus(target);
+    let tolerance = shop.job.rules.tolerance_mm / shop.job.frame.pitch;
+    let mut hidden = solid.minus(target).minus(&distance_within(&kept, tolerance));
     for view in shop.views() {
         let site = view.site(shop.job, solid);
         for tool in &shop.job.cutters {

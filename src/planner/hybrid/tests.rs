@@ -45,6 +45,8 @@ fn job(initial: BitGrid, target: BitGrid) -> Job {
     rules.holding = HoldingMode::Refixture;
     rules.base = BaseKind::None;
     rules.nozzle_dip_mm = 0.0;
+    // On so small a world all would be skin.
+    rules.tolerance_mm = 0.0;
     Job {
         frame,
         initial,
@@ -284,7 +286,13 @@ fn all_ways(shop: &Shop, state: &super::world::State) -> Vec<(f64, super::world:
     shop.successors(state).unwrap().into_iter().filter_map(made).collect()
 }
 
-fn equals_trying_all(dims: [usize; 3], seeds: std::ops::Range<u64>, depth: usize, tools: usize) {
+fn equals_trying_all(
+    dims: [usize; 3],
+    seeds: std::ops::Range<u64>,
+    depth: usize,
+    tools: usize,
+    skin: f64,
+) {
     let mut goals = 0;
     for seed in seeds {
         let target = blocky(dims, seed);
@@ -295,13 +303,14 @@ fn equals_trying_all(dims: [usize; 3], seeds: std::ops::Range<u64>, depth: usize
         };
         let mut job = job(initial, target);
         job.cutters.truncate(tools);
+        job.rules.tolerance_mm = skin;
         let options =
             Options { weight: 0.0, most_steps: depth, delta: 0.05, tight_bound: true, ..exact() };
         let ctx = Ctx::quiet();
         let (plan, report) = super::plan(&job, &options, &ctx).unwrap();
         assert!(plan.steps.len() <= depth);
         let shop = Shop::new(&job, &options, &ctx);
-        let start = shop.state(&job.initial, 0);
+        let start = shop.start();
         let all = Trials::default().cheapest(&shop, &start, depth);
         assert_eq!(report.goal, all.is_some(), "seed {seed}");
         if let Some(all) = all {
@@ -322,12 +331,18 @@ fn equals_trying_all(dims: [usize; 3], seeds: std::ops::Range<u64>, depth: usize
 
 #[test]
 fn without_weight_the_cost_is_that_of_trying_every_plan_of_a_slab() {
-    equals_trying_all([8, 3, 8], 0..9, 4, 1);
+    equals_trying_all([8, 3, 8], 0..9, 4, 1, 0.0);
 }
 
 #[test]
 fn without_weight_the_cost_is_that_of_trying_every_plan_of_a_cube() {
-    equals_trying_all([8, 8, 8], 0..6, 3, 2);
+    equals_trying_all([8, 8, 8], 0..6, 3, 2, 0.0);
+}
+
+#[test]
+fn with_skin_it_is_so_as_well() {
+    equals_trying_all([8, 3, 8], 0..9, 4, 1, 1.0);
+    equals_trying_all([8, 8, 8], 0..6, 3, 1, 1.0);
 }
 
 /// A box closed on all sides: whoever empties it cuts through its lid.

@@ -12,8 +12,9 @@ use crate::machine::Tool;
 use crate::plan::{self, Job, StepKind};
 use crate::planner::reman::bridges::bridges;
 use crate::search::{Made, Successor, World};
-use crate::voxel::BitGrid;
+use crate::voxel::{BitGrid, distance_within};
 use rayon::prelude::*;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A cut that frees pieces is made again with bridges to them so often.
@@ -22,13 +23,35 @@ const BRIDGE_ROUNDS: usize = 4;
 /// Overhang from which deposits may lean, degrees.
 const CONE_DEG: f64 = 45.0;
 
+/// What is left of P₀ ∩ P, and the skin around it, where a goal may be off.
+#[derive(Debug)]
+pub struct Reused {
+    solid: BitGrid,
+    skin: BitGrid,
+    key: u128,
+}
+
+impl Reused {
+    fn new(solid: BitGrid, job: &Job) -> Reused {
+        let skin = distance_within(&solid, job.rules.tolerance_mm / job.frame.pitch);
+        let key = Packed::of(&solid).key().rotate_left(64);
+        Reused { solid, skin, key }
+    }
+
+    fn bytes(&self) -> usize {
+        (self.solid.words().len() + self.skin.words().len()) * size_of::<u64>()
+    }
+}
+
 /// A workpiece and how the last step held it.
 #[derive(Clone, Debug)]
 pub struct State {
     solid: Packed,
-    /// P_n − P and P − P_n, voxels.
+    reused: Arc<Reused>,
+    /// P_n − P and P − P_n, voxels; and how many of both are no skin.
     pub excess: usize,
     pub deficit: usize,
+    off: usize,
     /// The last direction, by its place in [`AXES`]; the first where it does not matter.
     up: usize,
 }
@@ -80,15 +103,34 @@ impl<'a> Shop<'a> {
         }
     }
 
-    /// The state of a workpiece; `up` is the direction that made it.
-    pub fn state(&self, solid: &BitGrid, up: usize) -> State {
-        let common = solid.count_and(&self.job.target);
+    /// The state to begin with.
+    pub fn start(&self) -> State {
+        let reused = Reused::new(self.job.ideal_reuse(), self.job);
+        self.bytes.fetch_add(reused.bytes(), Ordering::Relaxed);
+        self.state(&self.job.initial, Arc::new(reused), 0)
+    }
+
+    /// What a step along the axis `up` makes of a state.
+    fn after(&self, before: &State, solid: &BitGrid, up: usize) -> State {
+        let mut reused = Arc::clone(&before.reused);
+        if !reused.solid.is_subset_of(solid) {
+            reused = Arc::new(Reused::new(reused.solid.and(solid), self.job));
+            self.bytes.fetch_add(reused.bytes(), Ordering::Relaxed);
+        }
+        self.state(solid, reused, up)
+    }
+
+    fn state(&self, solid: &BitGrid, reused: Arc<Reused>, up: usize) -> State {
+        let target = &self.job.target;
+        let (excess, deficit) = (solid.minus(target), target.minus(solid));
         let packed = Packed::of(solid);
         self.bytes.fetch_add(packed.bytes(), Ordering::Relaxed);
         State {
             solid: packed,
-            excess: solid.count() - common,
-            deficit: self.job.target.count() - common,
+            excess: excess.count(),
+            deficit: deficit.count(),
+            off: excess.minus(&reused.skin).count() + deficit.minus(&reused.skin).count(),
+            reused,
             up: if self.relative { up } else { 0 },
         }
     }
@@ -184,7 +226,7 @@ impl<'a> Shop<'a> {
                 if !region.is_empty() && self.loosened(solid, &region).is_some() {
                     region = self.held_cut(solid, &site, excess.clone(), tool);
                 }
-                out.extend(self.made(doing(plan::Action::OC, n), solid, &region));
+                out.extend(self.made(doing(plan::Action::OC, n), (of, solid), &region));
                 if region.count() < of.excess {
                     out.extend(self.promised(doing(plan::Action::UC, n), &site, of, &cut.hidden));
                 }
@@ -195,9 +237,9 @@ impl<'a> Shop<'a> {
                 let open = open(&site, tool, self.job.rules.nozzle_dip_mm);
                 let under = self.filled(solid, &site, &open, plan::Action::UF);
                 let over = self.filled(solid, &site, &open, plan::Action::OF);
-                out.extend(self.made(doing(plan::Action::UF, n), solid, &under));
+                out.extend(self.made(doing(plan::Action::UF, n), (of, solid), &under));
                 if over != under {
-                    out.extend(self.made(doing(plan::Action::OF, n), solid, &over));
+                    out.extend(self.made(doing(plan::Action::OF, n), (of, solid), &over));
                 }
             }
         }
@@ -207,7 +249,7 @@ impl<'a> Shop<'a> {
     fn made(
         &self,
         action: Action,
-        solid: &BitGrid,
+        (of, solid): (&State, &BitGrid),
         region: &BitGrid,
     ) -> Option<Successor<State, Action>> {
         let voxels = region.count();
@@ -219,7 +261,7 @@ impl<'a> Shop<'a> {
             StepKind::Additive => solid.or(region),
         };
         let cost = self.costs.moved(action.kind(), action.tool, voxels);
-        Some(Successor::Made(Made { action, cost, state: self.state(&after, action.axis) }))
+        Some(Successor::Made(Made { action, cost, state: self.after(of, &after, action.axis) }))
     }
 
     /// An under-cut is dear, and mostly bad: it is made only when what it takes at least does not
@@ -247,7 +289,7 @@ impl World for Shop<'_> {
     type Error = Cancelled;
 
     fn key(&self, state: &State) -> u128 {
-        state.solid.key() ^ (state.up as u128)
+        state.solid.key() ^ state.reused.key ^ (state.up as u128)
     }
 
     fn remaining(&self, state: &State) -> f64 {
@@ -255,11 +297,11 @@ impl World for Shop<'_> {
     }
 
     fn is_goal(&self, state: &State) -> bool {
-        self.costs.is_goal(state.excess, state.deficit)
+        self.costs.is_goal(state.off)
     }
 
     fn shortfall(&self, state: &State) -> f64 {
-        (state.excess + state.deficit) as f64
+        state.off as f64
     }
 
     fn successors(&self, state: &State) -> Result<Vec<Successor<State, Action>>, Cancelled> {
@@ -283,6 +325,6 @@ impl World for Shop<'_> {
         let solid = state.solid.grid();
         let Some(region) = self.apply(&solid, *action) else { return Ok(None) };
         let cost = self.costs.moved(action.kind(), action.tool, region.count());
-        Ok(Some((cost, self.state(&solid.minus(&region), action.axis))))
+        Ok(Some((cost, self.after(state, &solid.minus(&region), action.axis))))
     }
 }
