@@ -8,7 +8,10 @@ mod plane;
 mod prisms;
 #[path = "fixtures/shipped.rs"]
 mod shipped;
+#[path = "fixtures/tools.rs"]
+mod tools;
 
+use hmplan::machine::Tool;
 use hmplan::mesh::TriMesh;
 use parts::Pair;
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,7 +26,7 @@ fn meshes(pair: &Pair) -> [TriMesh; 2] {
 #[test]
 fn the_generator_makes_the_shipped_bytes() {
     let mut made = BTreeSet::new();
-    for (name, text) in parts::pairs().iter().flat_map(shipped::files) {
+    for (name, text) in parts::pairs().iter().flat_map(shipped::files).chain(shipped::tools()) {
         let shipped = std::fs::read_to_string(shipped::folder().join(&name))
             .unwrap_or_else(|e| panic!("fixtures/{name}: {e}; {MEND}"));
         assert!(shipped == text, "fixtures/{name} differs from what the generator makes; {MEND}");
@@ -159,4 +162,21 @@ fn by_name(name: &str) -> Pair {
 fn the_same_part_twice_is_the_same_file_twice() {
     let [(_, initial), (_, target)] = shipped::files(&by_name("same"));
     assert_eq!(initial, target);
+}
+
+#[test]
+fn the_nozzle_that_is_a_mesh_takes_the_room_of_its_corners() {
+    let mesh = tools::fine_nozzle();
+    assert_closed_surface("fine nozzle", &mesh);
+    let tool = Tool::load(&shipped::folder().join("fine-nozzle.toml")).unwrap();
+    let corner = 0.52 / (PI / 6.0).cos();
+    let wanted = [(0.0, 0.2, 12.0, 0.6), (12.0, corner, 40.0, corner), (40.0, 20.0, 100.0, 20.0)];
+    assert_eq!(tool.sections.len(), wanted.len());
+    for (section, (z0, r0, z1, r1)) in tool.sections.iter().zip(wanted) {
+        let shape = section.shape;
+        let ends = [shape.bottom(), shape.top()];
+        assert_eq!(ends, [z0, z1]);
+        let radii = ends.map(|z| shape.radius_at(z).unwrap());
+        assert!((radii[0] - r0).abs() < 1e-3 && (radii[1] - r1).abs() < 1e-3, "{shape:?}");
+    }
 }

@@ -93,7 +93,7 @@ fn schema(of: SchemaOf) -> Result<Exit, Failure> {
     let schema = match of {
         SchemaOf::Plan => schemars::schema_for!(hmplan::plan::PlanFile),
         SchemaOf::Machine => schemars::schema_for!(hmplan::machine::Machine),
-        SchemaOf::Tool => schemars::schema_for!(hmplan::machine::Tool),
+        SchemaOf::Tool => schemars::schema_for!(hmplan::machine::ToolFile),
     };
     let text = serde_json::to_string_pretty(&schema).map_err(|e| Failure::Io(e.to_string()))?;
     print(format!("{text}\n").as_bytes())

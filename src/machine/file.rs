@@ -5,7 +5,10 @@
 //! refused unread.
 
 use super::process::within;
-use super::{Chain, InvalidTool, Linear, Machine, Rotary, Table, Tool};
+use super::section::{Flat, Written};
+use super::{Chain, InvalidTool, Linear, Machine, Process, Rotary, Table, Taken, Tool, ToolKind};
+use schemars::JsonSchema;
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Display;
 use std::io::Read;
@@ -155,9 +158,12 @@ fn ordered(key: &str, [low, high]: [f64; 2], largest: f64) -> Result<(), String>
 }
 
 impl Tool {
-    /// Reads and checks a tool file.
+    /// Reads and checks a tool file and the meshes it names.
     pub fn load(path: &Path) -> Result<Tool, ProfileError> {
-        Tool::parse(&path.display().to_string(), &read_text(path)?)
+        let (file, text) = (path.display().to_string(), read_text(path)?);
+        let written: ToolFile = from_toml(&file, &text)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        written.tool(folder).map_err(|bad| bad.located(&file, &text))
     }
 
     /// Parses and checks a tool; `file` is what errors call it.
@@ -188,6 +194,47 @@ impl Tool {
             };
             bad(&within_tool(&steps), e)
         })
+    }
+}
+
+/// A tool as its file says it: sections may be meshes, which a [`Tool`] has as the solids that they
+/// sweep about its axis.
+#[derive(Deserialize, JsonSchema)]
+#[serde(rename = "Tool", deny_unknown_fields)]
+pub struct ToolFile {
+    name: String,
+    kind: ToolKind,
+    #[schemars(with = "Vec<Written>")]
+    section: Vec<Flat>,
+    /// What it is run with.
+    #[serde(default)]
+    process: Process,
+    #[serde(default)]
+    taken: Taken,
+}
+
+impl ToolFile {
+    fn tool(self, folder: &Path) -> Result<Tool, BadFigure> {
+        let at = |i: usize| [Step::Key("section"), Step::Index(i)];
+        few("sections", self.section.len()).map_err(|e| bad(&[Step::Key("section")], e))?;
+        // Of each section of the tool, the one of the file it comes from.
+        let (mut sections, mut from) = (Vec::new(), Vec::new());
+        for (i, written) in self.section.iter().enumerate() {
+            let own = written.sections(folder).map_err(|e| bad(&at(i), e))?;
+            from.extend(own.iter().map(|_| i));
+            sections.extend(own);
+        }
+        let ToolFile { name, kind, process, taken, .. } = self;
+        let tool = Tool { name, kind, sections, process, taken };
+        match tool.find_bad_figure(&[]) {
+            Ok(()) => Ok(tool),
+            Err(BadFigure { at: steps, what }) => match steps[..] {
+                [Step::Key("section"), Step::Index(i)] if i < from.len() => {
+                    Err(bad(&at(from[i]), what))
+                }
+                _ => Err(BadFigure { at: steps, what }),
+            },
+        }
     }
 }
 
@@ -265,7 +312,10 @@ impl BadFigure {
 }
 #[cfg(test)]
 mod tests {
+    use super::super::Shape;
     use super::*;
+    use crate::base::DVec3;
+    use crate::mesh::TriMesh;
 
     const TOOL: &str = include_str!("presets/w2v-cutter.toml");
     const MACHINE: &str = include_str!("presets/generic-5axis.toml");
@@ -349,6 +399,55 @@ mod tests {
         assert!(matches!(Tool::load(&path), Err(ProfileError::NotText { .. })));
         std::fs::write(&path, vec![b'#'; LARGEST_FILE as usize + 1]).unwrap();
         assert!(matches!(Tool::load(&path), Err(ProfileError::TooLarge { .. })));
+    }
+
+    /// A square rod of 2 mm as OBJ; without its last triangle it is open.
+    fn rod(triangles: usize) -> String {
+        let mesh = TriMesh::cuboid(DVec3::new(-1.0, -1.0, 0.0), DVec3::new(1.0, 1.0, 30.0));
+        let vertices = mesh.vertices().iter().map(|v| format!("v {} {} {}\n", v.x, v.y, v.z));
+        let faces = mesh.triangles().iter().take(triangles).map(|t| t.map(|i| i + 1));
+        vertices.chain(faces.map(|[a, b, c]| format!("f {a} {b} {c}\n"))).collect()
+    }
+
+    #[test]
+    fn a_section_may_be_a_mesh_beside_the_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("tool.toml");
+        let load = |sections: &str| {
+            let text = format!("name = \"t\"\nkind = \"additive\"\nsection = [\n{sections}]\n");
+            std::fs::write(&path, text).unwrap();
+            Tool::load(&path)
+        };
+        std::fs::write(dir.path().join("rod.obj"), rod(12)).unwrap();
+        std::fs::write(dir.path().join("open.obj"), rod(11)).unwrap();
+        let head = "{ shape = \"platform\", z = 30.0 }";
+        let tool = load(&format!("{{ shape = \"mesh\", file = \"rod.obj\" }},\n{head}")).unwrap();
+        let r = 2.0_f64.sqrt();
+        assert_eq!(tool.sections[0].shape, Shape::Frustum { z0: 0.0, r0: r, z1: 30.0, r1: r });
+        assert_eq!((tool.sections.len(), tool.gauge_mm()), (2, 30.0));
+        for (sections, line, says) in [
+            ("{ shape = \"mesh\" },\n", 4, "key `file` is missing"),
+            ("{ shape = \"mesh\", file = \"rod.obj\", z = 1.0 },\n", 4, "takes file, and nothing"),
+            ("{ shape = \"platform\", z = 0.0, file = \"a\" },\n", 4, "`file` does not belong"),
+            ("{ shape = \"mesh\", file = \"open.obj\" },\n", 4, "not closed"),
+            ("{ shape = \"mesh\", file = \"none.obj\" },\n", 4, "none.obj"),
+            // The second section of the file, though the third of the tool.
+            (
+                "{ shape = \"mesh\", file = \"rod.obj\" },\n{ shape = \"ball\", radius = -1.0 },\n",
+                5,
+                "section 2: -1 is not a length",
+            ),
+        ] {
+            let said = load(sections).unwrap_err().to_string();
+            assert!(said.contains(&format!("tool.toml:{line}:")) && said.contains(says), "{said}");
+        }
+        let text = MACHINE.replacen(
+            "{ shape = \"ball\"",
+            "{ shape = \"mesh\", file = \"rod.obj\" }, { shape = \"ball\"",
+            1,
+        );
+        let said = Machine::parse("my.toml", &text).unwrap_err().to_string();
+        assert!(said.contains("a tool file of its own"), "{said}");
     }
 
     #[test]

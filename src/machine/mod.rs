@@ -5,6 +5,9 @@
 //! never moves: a pedestal as wide as the base contact of what stays, a finite table under it.
 //! A machine's [`Chain`] turns directions into rotary angles and tips into axis values.
 //!
+//! Tools are round about their axis; a section that is drawn as a mesh stands for what it sweeps
+//! (`revolved`).
+//!
 //! Guarantees: a loaded [`Tool`] or [`Machine`] has finite figures in range. Not guaranteed: that
 //! a direction or a position can be reached; ask the machine's kinematic chain.
 //!
@@ -35,6 +38,7 @@ mod placement;
 mod presets;
 mod process;
 mod profile;
+mod revolved;
 mod section;
 mod tool;
 mod travel;
@@ -42,7 +46,7 @@ mod workholding;
 
 pub use check::check;
 pub use describe::{describe, describe_tool};
-pub use file::{LARGEST_FILE, ProfileError};
+pub use file::{LARGEST_FILE, ProfileError, ToolFile};
 pub use joints::Linear;
 pub use kinematics::{AxisValues, Chain, Indexed, Mount, Rotary, RotaryAngles};
 pub use orient::Unreachable;

@@ -1,8 +1,12 @@
 //! Reading a section: all keys of all shapes in one flat list, so that a misspelt key is answered
 //! with every key there is and a key of another shape with those of this one.
 
+use super::revolved::frusta;
 use super::tool::{Section, Shape};
+use crate::mesh::{self, Health};
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de::Error};
+use std::path::{Path, PathBuf};
 
 #[derive(Clone, Copy, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -11,11 +15,42 @@ enum Kind {
     BullNose,
     Frustum,
     Platform,
+    Mesh,
+}
+
+/// What a tool file may say of a section.
+#[derive(JsonSchema)]
+#[serde(untagged)]
+#[allow(dead_code, reason = "describes files; they are read as `Flat`")]
+pub(super) enum Written {
+    Round(Section),
+    Drawn(Drawn),
+}
+
+/// A closed mesh in mm, its tip at the origin and the tool's axis along +z. The tool is what it sweeps
+/// when it turns about that axis.
+#[derive(JsonSchema)]
+#[serde(rename = "Mesh")]
+#[allow(dead_code, reason = "describes files; they are read as `Flat`")]
+pub(super) struct Drawn {
+    shape: MeshShape,
+    /// An OBJ, STL, PLY, OFF or 3MF file, from the tool file's folder.
+    file: PathBuf,
+    /// Belongs to K: it cuts, or is the bead.
+    #[serde(default)]
+    active: bool,
+}
+
+#[derive(JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+#[allow(dead_code, reason = "describes files; they are read as `Kind`")]
+enum MeshShape {
+    Mesh,
 }
 
 #[derive(Deserialize)]
 #[serde(rename = "Section", deny_unknown_fields)]
-struct Flat {
+pub(super) struct Flat {
     shape: Kind,
     #[serde(default)]
     active: bool,
@@ -26,6 +61,7 @@ struct Flat {
     r0: Option<f64>,
     z1: Option<f64>,
     r1: Option<f64>,
+    file: Option<PathBuf>,
 }
 
 impl Flat {
@@ -41,6 +77,9 @@ impl Flat {
             ("r1", self.r1),
         ];
         let takes = || format!("a {shape} takes {}", keys.join(", "));
+        if self.file.is_some() {
+            return Err(format!("key `file` does not belong here; {}", takes()));
+        }
         if let Some((key, _)) = given.iter().find(|(k, v)| v.is_some() && !keys.contains(k)) {
             return Err(format!("key `{key}` does not belong here; {}", takes()));
         }
@@ -70,8 +109,35 @@ impl Flat {
                 let [z] = self.figures("platform", ["z"])?;
                 Shape::Platform { z }
             }
+            Kind::Mesh => {
+                return Err("a mesh belongs into a tool file of its own; name that file with \
+                            --sm-tool or --am-tool"
+                    .into());
+            }
         };
         Ok(Section { shape, active: self.active })
+    }
+
+    /// The sections that this one of a tool file in `folder` stands for.
+    pub(super) fn sections(&self, folder: &Path) -> Result<Vec<Section>, String> {
+        let (Kind::Mesh, Some(file)) = (self.shape, &self.file) else {
+            return match self.shape {
+                Kind::Mesh => Err("key `file` is missing; a mesh takes file".into()),
+                _ => self.section().map(|s| vec![s]),
+            };
+        };
+        let Flat { file: _, shape: _, active, radius, corner, z, z0, r0, z1, r1 } = self;
+        if [radius, corner, z, z0, r0, z1, r1].into_iter().any(Option::is_some) {
+            return Err("a mesh takes file, and nothing else".into());
+        }
+        let path = folder.join(file);
+        let read = mesh::read(&path, &mesh::ReadOptions::default()).map_err(|e| e.to_string())?;
+        let named = |what: String| format!("{}: {what}", path.display());
+        if !Health::of(&read.mesh).watertight {
+            return Err(named("the mesh is not closed; a tool needs a closed surface".into()));
+        }
+        let shapes = frusta(&read.mesh).map_err(named)?;
+        Ok(shapes.into_iter().map(|shape| Section { shape, active: *active }).collect())
     }
 }
 

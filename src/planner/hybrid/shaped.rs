@@ -5,7 +5,8 @@
 //!
 //! Guarantees: [`over_cut_by`] solves Eq. 26 on voxels, [`under_cut_by`] Eq. 29 with the contacts of
 //! Alg. 3. Not guaranteed: speed; each round is two or three Minkowski sums in space. The search
-//! itself uses tools of revolution alone, since the rules of a plan know no others.
+//! itself uses tools of revolution alone, since the rules of a plan know no others; a tool drawn as
+//! a mesh takes part in it as what it sweeps about its axis ([`crate::machine::ToolFile`]).
 
 use crate::access::{VoxelTool, accessible, choose, collateral};
 use crate::base::{Cancelled, Ctx};
