@@ -209,6 +209,54 @@ fn the_search_says_what_its_plan_costs_and_verifies() {
     assert!(summary["notes"].to_string().contains("nearer"), "{}", summary["notes"]);
 }
 
+/// A cup with its opening down, held on its pedestal: what carries its floor can't be cut out from
+/// below, so that it is made another way up.
+#[test]
+fn a_search_from_nothing_tries_the_other_ways_up() {
+    let temp = tempfile::tempdir().unwrap();
+    let cup = temp.path().join("cup.obj");
+    let square = |half: f64, z: f64| {
+        [[-half, -half], [half, -half], [half, half], [-half, half]].map(|[x, y]| [x, y, z])
+    };
+    let rings = [square(10.0, 0.0), square(10.0, 16.0), square(6.0, 0.0), square(6.0, 12.0)];
+    let mut text = String::new();
+    for [x, y, z] in rings.concat() {
+        text += &format!("v {x} {y} {z}\n");
+    }
+    for i in 0..4 {
+        let j = (i + 1) % 4;
+        // Outside, inside and rim, as seen from the air.
+        for [a, b, c, d] in
+            [[i, j, 4 + j, 4 + i], [8 + j, 8 + i, 12 + i, 12 + j], [j, i, 8 + i, 8 + j]]
+        {
+            text += &format!("f {} {} {} {}\n", a + 1, b + 1, c + 1, d + 1);
+        }
+    }
+    text += "f 5 6 7 8\nf 16 15 14 13\n";
+    std::fs::write(&cup, text).unwrap();
+    let search = |dir: &str, setup: &str| {
+        let dir = temp.path().join(dir);
+        let mut command = hmplan();
+        command.arg("plan").arg(&cup).args(["--planner", "search", "--resolution", "1"]);
+        command.args(["--setup", setup, "--json", "-o"]).arg(&dir);
+        let output = command.output().unwrap();
+        let file = read_plan(&dir);
+        let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        (file, summary, output.status.code())
+    };
+    let (_, kept, _) = search("kept", "keep");
+    assert_eq!(kept["verified"], false, "{kept}");
+    let (file, found, code) = search("found", "search");
+    assert_eq!(found["verified"], true, "{found}");
+    let notes = found["notes"].to_string();
+    assert!(notes.contains("of the file up leaves") && notes.contains("z "), "{notes}");
+    // The plan is judged in the pose it was made for.
+    let up = &file.inputs.target.transform[8..11];
+    assert!(up[2].abs() < 1e-9, "the file's z no longer points up: {up:?}");
+    let judged = hmplan().arg("verify").arg(temp.path().join("found")).output().unwrap();
+    assert_eq!(judged.status.code(), code);
+}
+
 #[test]
 fn a_grid_beyond_all_memory_is_refused_at_once() {
     let out = tempfile::tempdir().unwrap();
@@ -257,7 +305,14 @@ fn schemas_and_completions_are_printed() {
     for of in ["plan", "machine", "tool"] {
         let output = hmplan().args(["schema", of]).output().unwrap();
         let schema: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-        jsonschema::validator_for(&schema).unwrap();
+        let validator = jsonschema::validator_for(&schema).unwrap();
+        if of == "tool" {
+            for name in ["slim-mill", "fine-nozzle"] {
+                let text = fs::read_to_string(format!("fixtures/{name}.toml")).unwrap();
+                let tool: serde_json::Value = toml::from_str(&text).unwrap();
+                assert!(validator.is_valid(&tool), "{name}");
+            }
+        }
     }
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         hmplan().args(["completions", shell]).assert().success().stdout(contains("hmplan"));

@@ -73,7 +73,8 @@ pub struct PlanArgs {
     /// Planner [default: reman with two parts, nullify with one]
     #[arg(long, value_enum)]
     pub planner: Option<Planner>,
-    /// Search the target's pose in the initial part, or keep the poses of the files
+    /// Search the target's pose in the initial part, or keep the poses of the files; from nothing,
+    /// planner search tries the other ways up where the file's leaves more than the rules allow
     #[arg(long, value_enum, default_value_t = Setup::Search)]
     pub setup: Setup,
 

@@ -103,6 +103,11 @@ fn searched(
     clock: &mut Clock,
 ) -> Result<Planned, Failure> {
     let (plan, r) = clock.time("search", || hybrid::plan(job, options, ctx)).map_err(failure)?;
+    let class = match r.goal {
+        true if r.left_mm3 == 0.0 => 0,
+        true => 1,
+        false => 2,
+    };
     let figures = PlannerFigures {
         planner: "search".into(),
         cost: Some(r.cost),
@@ -116,7 +121,7 @@ fn searched(
         figures,
         schedule: None,
         trace: Some(r.trace),
-        standing: Default::default(),
+        standing: reman::Standing { class, given_up_mm3: 0.0, left_mm3: r.left_mm3 },
     })
 }
 

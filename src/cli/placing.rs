@@ -3,7 +3,9 @@
 //! Method. `--setup keep` takes the poses of the files; else the setup search ranks placements of
 //! the target in the initial part, which stays as it stands or, on request, is laid on another of
 //! its faces. The best placement is planned. Asked for so many candidates, that many are planned in
-//! full and the best plan is kept. Asked for none in particular, the others have a say only where the
+//! full and the best plan is kept. Where planner search begins with nothing, the candidates are the six
+//! ways of putting the target on the table, its file's first; they are planned until a plan is within
+//! the rules. Asked for none in particular, the others have a say only where the
 //! plan of the first keeps little of what both parts have in common there: each is then looked at on a
 //! coarse grid, and of those that promise more, the most promising first, at most two are planned as
 //! well, until one keeps enough.
@@ -11,7 +13,7 @@
 //! Guarantees: the same choice at any thread count; of plans made on the job's grid the best is
 //! kept. Not guaranteed: that no other placement has a better plan. Millimetres.
 
-use super::args::Setup;
+use super::args::{Axis, Setup};
 use super::config::PlanConfig;
 use super::exit::Failure;
 use super::inputs::{self, Grids, Part};
@@ -71,6 +73,9 @@ pub fn places(
     ctx: &Ctx,
     clock: &mut Clock,
 ) -> Result<Vec<Place>, Failure> {
+    if parts.initial.is_none() && config.search.is_some() && config.setup == Setup::Search {
+        return ways_up(&mut parts.target);
+    }
     let (Some((initial, initial_mesh)), Setup::Search) = (&mut parts.initial, config.setup) else {
         let kept = parts.target.record.plan_from_part().unwrap_or(DAffine3::IDENTITY);
         return Ok(vec![Place { motion: kept, notes: Vec::new(), reused_share: 0.0 }]);
@@ -93,6 +98,22 @@ pub fn places(
         Place { motion, notes: notes.collect(), reused_share: c.reused_share }
     };
     Ok([&found.winner].into_iter().chain(&found.others).map(place).collect())
+}
+
+/// The six ways up of a part that is made from nothing, the one it stands in first.
+fn ways_up(target: &mut Part) -> Result<Vec<Place>, Failure> {
+    let stood = target.record.plan_from_part().unwrap_or(DAffine3::IDENTITY);
+    let floor = target.placed()?.bounds().min.z;
+    let mut places = Vec::new();
+    for up in [Axis::Z, Axis::X, Axis::NegX, Axis::Y, Axis::NegY, Axis::NegZ] {
+        let turned = DAffine3::from_mat3(up.to_z()) * stood;
+        target.place(&turned);
+        let sunk = floor - target.placed()?.bounds().min.z;
+        let motion = DAffine3::from_translation(DVec3::Z * sunk) * turned;
+        places.push(Place { motion, notes: Vec::new(), reused_share: 0.0 });
+    }
+    target.place(&stood);
+    Ok(places)
 }
 
 /// A plan, and what it was made for.
@@ -126,6 +147,9 @@ pub fn best_of(
     let Some((first, others)) = places.split_first() else {
         return Err(Failure::input("the setup search found no placement"));
     };
+    if parts.initial.is_none() && !others.is_empty() {
+        return best_way_up(parts, places, config, ctx, clock);
+    }
     let mut best = plan_at(parts, first, config, ctx, clock)?;
     let told = |i: usize, s: &reman::Standing, how: &str| {
         let what = match s.class {
@@ -182,6 +206,61 @@ pub fn best_of(
     }
     best.notes.extend(lines);
     Ok(best)
+}
+
+/// Plans one way up after the other, as long as there is time, until a plan is within the rules.
+fn best_way_up(
+    parts: &mut Parts,
+    places: &[Place],
+    config: &PlanConfig,
+    ctx: &Ctx,
+    clock: &mut Clock,
+) -> Result<Made, Failure> {
+    let mut best: Option<(Made, String)> = None;
+    let mut others = Vec::new();
+    for place in places {
+        if best.is_some() && ctx.out_of_time() {
+            others.push("no time for the rest".to_string());
+            break;
+        }
+        let up = axis_up(&place.motion);
+        let made = plan_at(parts, place, config, ctx, clock)?;
+        let standing = made.standing();
+        let left = |up: &str, m: &Made| format!("{up} {:.1} mm³", m.standing().left_mm3);
+        match &best {
+            Some((b, _)) if standing >= b.standing() => others.push(left(&up, &made)),
+            _ => {
+                let before = best.replace((made, up));
+                others.extend(before.map(|(m, up)| left(&up, &m)));
+            }
+        }
+        if standing.class < 2 {
+            break;
+        }
+    }
+    let Some((mut best, up)) = best else {
+        return Err(Failure::input("the setup search found no placement"));
+    };
+    if !others.is_empty() {
+        let own = best.standing().left_mm3;
+        best.notes.push(format!(
+            "Setup: {up} of the file up leaves {own:.1} mm³; {}.",
+            others.join(", ")
+        ));
+    }
+    Ok(best)
+}
+
+/// Which axis of its file a part has up: "-x".
+fn axis_up(plan_from_part: &DAffine3) -> String {
+    let up = plan_from_part.matrix3.transpose() * DVec3::Z;
+    let [x, y, z] = up.abs().to_array();
+    let (name, along) = match () {
+        () if x > y.max(z) => ("x", up.x),
+        () if y > z => ("y", up.y),
+        () => ("z", up.z),
+    };
+    format!("{}{name}", if along < 0.0 { "-" } else { "" })
 }
 
 /// How a plan may stand with the target at a place.
@@ -299,4 +378,27 @@ fn prepare(
 /// The thinnest layer of the nozzles used, mm: how deep any of them may ride into its own layer.
 fn layer_mm(nozzles: &[Tool]) -> f64 {
     nozzles.iter().map(|t| t.process.layer_mm).fold(f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use hmplan::base::DMat3;
+
+    #[test]
+    fn the_axis_that_points_up_is_told_by_its_name_in_the_file() {
+        for (axis, name) in [
+            (Axis::X, "x"),
+            (Axis::Y, "y"),
+            (Axis::Z, "z"),
+            (Axis::NegX, "-x"),
+            (Axis::NegY, "-y"),
+            (Axis::NegZ, "-z"),
+        ] {
+            let shift = DAffine3::from_translation(DVec3::new(3.0, -2.0, 1.0));
+            assert_eq!(axis_up(&(shift * DAffine3::from_mat3(axis.to_z()))), name);
+        }
+        let around = DMat3::from_rotation_z(0.3) * Axis::NegY.to_z();
+        assert_eq!(axis_up(&DAffine3::from_mat3(around)), "-y");
+    }
 }

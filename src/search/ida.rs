@@ -168,6 +168,8 @@ pub struct Found<A> {
     pub remaining: f64,
     /// g + h.
     pub cost: f64,
+    /// How far its end is from a goal: see [`World::shortfall`].
+    pub shortfall: f64,
     /// h of the start.
     pub bound: f64,
     pub rounds: usize,
@@ -221,6 +223,7 @@ pub fn ida<W: World>(
         paid: search.best.paid,
         remaining,
         cost: search.best.paid + remaining,
+        shortfall: search.nodes[search.best.node].seen.shortfall,
         path: search.best.path,
         bound,
         rounds: search.round,

@@ -140,6 +140,8 @@ pub struct Report {
     pub bound: f64,
     pub expanded: usize,
     pub rounds: usize,
+    /// What the plan leaves beyond skin, mm³.
+    pub left_mm3: f64,
     /// Whether a goal was found.
     pub goal: bool,
     /// The tree of the run, one line a state.
@@ -218,6 +220,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         bound: bound * voxel,
         expanded: found.expanded,
         rounds: found.rounds,
+        left_mm3: found.shortfall * voxel,
         goal: found.ending == Ending::Goal,
         trace,
         notes,
