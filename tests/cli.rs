@@ -288,6 +288,37 @@ fn a_slip_in_a_profile_is_named_with_its_place() {
     refused(hmplan().args(["machine", "check"]).arg(&path), "mill.toml:1:");
 }
 
+/// The default machine without its rotary axes, or with the tilting one alone: what they can do they
+/// do, and no program of theirs names an axis that is not there.
+#[test]
+fn machines_of_three_and_four_axes_get_their_programs() {
+    let temp = tempfile::tempdir().unwrap();
+    let text = fs::read_to_string("src/machine/presets/generic-5axis.toml").unwrap();
+    let (linear, rest) = text.split_once("[kinematics.first]").unwrap();
+    let (tilting, rest) = rest.split_once("[kinematics.second]").unwrap();
+    let control = rest.split_once("[control]").unwrap().1;
+    let three = format!("{linear}[control]{control}");
+    let four = format!("{linear}[kinematics.first]{tilting}[control]{control}");
+    for (text, pair, axes) in [(three, "flange", 0), (four, "block_bracket", 1)] {
+        let file = temp.path().join(format!("{axes}.toml"));
+        fs::write(&file, text).unwrap();
+        hmplan().args(["machine", "check"]).arg(&file).assert().code(0).stdout(contains("rotary"));
+        let dir = temp.path().join(pair);
+        let mut command = hmplan();
+        command.arg("plan").arg(format!("fixtures/{pair}_initial.obj"));
+        command.arg(format!("fixtures/{pair}_target.obj")).args(["--setup", "keep", "-o"]);
+        command.arg(&dir).arg("--machine").arg(&file).args(["--resolution", PITCH]);
+        command.assert().code(0);
+        hmplan().arg("verify").arg(&dir).assert().code(0);
+        let program = fs::read_to_string(dir.join("out.gcode")).unwrap();
+        let turns = |letter: &str| {
+            program.lines().any(|l| l.starts_with('G') && l.contains(&format!(" {letter}")))
+        };
+        assert!(!turns("B") && !turns("C"), "{pair}");
+        assert_eq!(turns("A"), axes == 1, "{pair}");
+    }
+}
+
 #[test]
 fn profiles_are_listed_and_shown() {
     let list = hmplan().args(["machine", "list"]).assert().success();

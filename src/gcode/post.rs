@@ -314,10 +314,16 @@ impl<'a> Writer<'a> {
         let to = self.rotary;
         let chain = &self.job.machine.kinematics;
         let digits = self.dialect.rotary_digits;
-        let first = number(to.first_deg, digits);
-        let second = number(to.second_deg, digits);
-        self.line(&format!("G0 {}{first} {}{second}", chain.first.letter, chain.second.letter));
-        self.last.motion = Some(0);
+        let mut block = String::from("G0");
+        for (axis, angle) in [(&chain.first, to.first_deg), (&chain.second, to.second_deg)] {
+            if !axis.is_absent() {
+                block += &format!(" {}{}", axis.letter, number(angle, digits));
+            }
+        }
+        if chain.rotary_axes().next().is_some() {
+            self.line(&block);
+            self.last.motion = Some(0);
+        }
     }
 
     fn moves(

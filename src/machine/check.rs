@@ -97,7 +97,7 @@ fn narrows_at(tool: &Tool) -> Option<f64> {
 fn warn_about_axes(machine: &Machine, findings: &mut Vec<String>) {
     let chain = &machine.kinematics;
     let carried = if chain.second.on == Mount::Table { &chain.second } else { &chain.first };
-    if carried.on == Mount::Table {
+    if carried.on == Mount::Table && !carried.is_absent() {
         let offset = DVec3::from_array(chain.table_center_mm) - DVec3::from_array(carried.pivot_mm);
         let away = carried.axis.vec().cross(offset).length();
         if away > 1e-6 {
@@ -108,7 +108,7 @@ fn warn_about_axes(machine: &Machine, findings: &mut Vec<String>) {
             ));
         }
     }
-    for axis in [&chain.first, &chain.second] {
+    for axis in chain.rotary_axes() {
         if !covers_half_turn(axis) {
             findings.push(format!("warning: axis {} turns by less than 180 degrees", axis.letter));
         }
@@ -120,6 +120,36 @@ fn covers_half_turn(axis: &Rotary) -> bool {
 }
 
 fn note_reach(machine: &Machine, findings: &mut Vec<String>) {
+    let reached = match machine.kinematics.rotary_axes().count() {
+        2 => note_share(machine, findings),
+        count => note_ways(machine, count, findings),
+    };
+    for tool in &machine.tools {
+        let cube = largest_cube(machine, tool, &reached);
+        let word = if cube < CUBE_MM { "warning" } else { "note" };
+        findings.push(format!(
+            "{word}: with '{}' a cube of {cube:.0} mm on the pedestal is within the travel from \
+             all of them, clearance included",
+            tool.name
+        ));
+    }
+}
+
+/// The directions along which a machine of three or four axes points, as long as they look down on the part.
+fn note_ways(machine: &Machine, count: usize, findings: &mut Vec<String>) -> Vec<Direction> {
+    let ways = machine.sampled(Direction::Z, DIRECTIONS);
+    let upper: Vec<Direction> = ways.into_iter().filter(|d| d.vec().z >= 0.0).collect();
+    let how = match (count, upper.len()) {
+        (0, _) => "no rotary axis: the tool points one way",
+        (_, 1) => "one rotary axis, about the tool: the tool points one way",
+        _ => "one rotary axis: the tool points along one plane or cone",
+    };
+    findings.push(format!("note: {how}"));
+    upper
+}
+
+/// How much of the sphere a machine with two rotary axes points along; the directions of the upper half.
+fn note_share(machine: &Machine, findings: &mut Vec<String>) -> Vec<Direction> {
     let sphere = fibonacci_sphere(DIRECTIONS);
     let can = |d: &&Direction| machine.can_point(Direction::Z, **d);
     let upper: Vec<Direction> = sphere.iter().filter(|d| d.vec().z >= 0.0).copied().collect();
@@ -132,15 +162,7 @@ fn note_reach(machine: &Machine, findings: &mut Vec<String>) {
         "{word}: {share:.1} % of the directions above the horizontal can be pointed at, {lower:.1} \
          % of those below"
     ));
-    for tool in &machine.tools {
-        let cube = largest_cube(machine, tool, &reached);
-        let word = if cube < CUBE_MM { "warning" } else { "note" };
-        findings.push(format!(
-            "{word}: with '{}' a cube of {cube:.0} mm on the pedestal is within the travel from \
-             all of them, clearance included",
-            tool.name
-        ));
-    }
+    reached
 }
 
 /// Edge of the largest cube on the pedestal whose corners, and the points one clearance above

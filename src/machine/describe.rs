@@ -79,7 +79,7 @@ pub fn describe(machine: &Machine) -> String {
     for (letter, axis) in [("axis X", chain.x), ("axis Y", chain.y), ("axis Z", chain.z)] {
         line(letter, describe_linear(&axis));
     }
-    for axis in [&chain.first, &chain.second] {
+    for axis in chain.rotary_axes() {
         line(&format!("axis {}", axis.letter), describe_rotary(axis));
     }
     let control = &machine.control;
@@ -123,8 +123,15 @@ fn arrangement(chain: &Chain) -> String {
         Mount::Table => "table",
         Mount::Head => "head",
     };
-    let (one, two) = (&chain.first, &chain.second);
-    format!("{}/{} ({} {})", body(one), body(two), one.letter, two.letter)
+    let joined = |of: &dyn Fn(&Rotary) -> String, by: &str| {
+        chain.rotary_axes().map(of).collect::<Vec<_>>().join(by)
+    };
+    match chain.rotary_axes().count() {
+        0 => "three linear axes".into(),
+        _ => {
+            format!("{} ({})", joined(&|r| body(r).into(), "/"), joined(&|r| r.letter.into(), " "))
+        }
+    }
 }
 
 fn describe_linear(axis: &Linear) -> String {

@@ -113,10 +113,11 @@ impl Chain {
         for (key, axis) in [("x", &self.x), ("y", &self.y), ("z", &self.z)] {
             axis.validate().map_err(|e| bad(&here(key), e))?;
         }
-        for (key, axis) in [("first", &self.first), ("second", &self.second)] {
+        let rotary = [("first", &self.first), ("second", &self.second)];
+        for (key, axis) in rotary.into_iter().filter(|(_, r)| !r.is_absent()) {
             axis.validate().map_err(|e| bad(&here(key), e))?;
         }
-        if self.first.letter == self.second.letter {
+        if self.first.letter == self.second.letter && !self.first.is_absent() {
             let what = format!("both rotary axes are called {}", self.first.letter);
             return Err(bad(&[Key("kinematics"), Key("second"), Key("letter")], what));
         }

@@ -94,7 +94,7 @@ impl Chain {
     /// The ways in which the tool moves relative to the work, one column an axis.
     fn slides(&self, angles: RotaryAngles) -> DMat3 {
         let columns = self.linears().map(|(axis, way)| {
-            let own = self.rotaries(angles).filter(|(r, _)| r.on == axis.on);
+            let own = self.rotaries(angles).filter(|(r, _)| r.on == axis.on && !r.is_absent());
             let carriers = own.take(usize::from(axis.carried_by));
             carriers.fold(DMat3::IDENTITY, |m, (r, angle)| m * r.rotation(angle)) * way
         });
@@ -109,7 +109,7 @@ impl Chain {
     /// What stands against the linear axes.
     pub(super) fn movable(&self) -> Result<(), (&'static str, String)> {
         for ((axis, _), key) in self.linears().into_iter().zip(["x", "y", "z"]) {
-            let carriers = [self.first.on, self.second.on].into_iter().filter(|on| *on == axis.on);
+            let carriers = self.rotary_axes().filter(|r| r.on == axis.on);
             let (count, most) = (axis.carried_by, carriers.count());
             if usize::from(count) > most {
                 let what = format!("carried_by = {count}, but its body has {most} rotary axes");

@@ -1,4 +1,4 @@
-//! Kinematic chains of five-axis machines: three linear and two rotary axes.
+//! Kinematic chains of machines with three linear axes and up to two rotary ones.
 //!
 //! **Frames.** Machine coordinates are fixed to the frame of the machine, mm, z along the tool axis
 //! of a head at zero. The work is carried by the rotaries mounted on the table, the tool by those
@@ -18,6 +18,9 @@
 //! ```
 //!
 //! That is for linear axes that carry the head square before any rotary; others are in [`Linear`].
+//!
+//! A rotary axis that a machine does not have is one that stands at 0 for good: a chain always has
+//! two, and all that follows holds for it. Files leave it out, and programs never name it.
 //!
 //! Guarantees: forward ∘ inverse is the identity to 10⁻⁹ mm. Not guaranteed: nothing here knows
 //! obstacles; that a pose is free of collision is decided elsewhere.
@@ -40,7 +43,7 @@ pub enum Mount {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Rotary {
-    /// The word that commands it: A, B or C.
+    /// The word that commands it: A, B or C; [`Rotary::ABSENT`] of an axis that is not there.
     pub letter: char,
     pub on: Mount,
     /// Right-handed turning vector of the carried body, machine coordinates, all axes at zero.
@@ -63,12 +66,11 @@ fn default_rotary_rapid() -> f64 {
     3600.0
 }
 
-/// Three linear axes and two rotary ones.
+/// Three linear axes and two rotary ones, one or both of which may be absent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(from = "Written", into = "Written")]
 pub struct Chain {
     /// Centre of the table's surface with all axes at zero, machine coordinates, mm.
-    #[serde(default)]
     pub table_center_mm: [f64; 3],
     pub x: Linear,
     pub y: Linear,
@@ -76,6 +78,49 @@ pub struct Chain {
     /// The rotary nearest the machine's frame, when both are on the same body.
     pub first: Rotary,
     pub second: Rotary,
+}
+
+/// A chain as files have it.
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(rename = "Chain", deny_unknown_fields)]
+struct Written {
+    /// Centre of the table's surface with all axes at zero, machine coordinates, mm.
+    #[serde(default)]
+    table_center_mm: [f64; 3],
+    x: Linear,
+    y: Linear,
+    z: Linear,
+    /// The rotary nearest the machine's frame, when both are on the same body. A machine of four axes
+    /// has one rotary, one of three none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    first: Option<Rotary>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    second: Option<Rotary>,
+}
+
+impl From<Written> for Chain {
+    fn from(written: Written) -> Chain {
+        let Written { table_center_mm, x, y, z, first, second } = written;
+        let turns_about_z = |r: &Rotary| r.axis.vec().cross(DVec3::Z).length() < PARALLEL_SINE;
+        let (first, second) = match (first, second) {
+            (Some(first), Some(second)) => (first, second),
+            // A turntable under a tool that nothing tilts.
+            (Some(one), None) | (None, Some(one)) if turns_about_z(&one) => {
+                (Rotary::absent(Direction::X), one)
+            }
+            (Some(one), None) | (None, Some(one)) => (one, Rotary::absent(Direction::Z)),
+            (None, None) => (Rotary::absent(Direction::X), Rotary::absent(Direction::Z)),
+        };
+        Chain { table_center_mm, x, y, z, first, second }
+    }
+}
+
+impl From<Chain> for Written {
+    fn from(chain: Chain) -> Written {
+        let Chain { table_center_mm, x, y, z, first, second } = chain;
+        let there = |r: Rotary| (!r.is_absent()).then_some(r);
+        Written { table_center_mm, x, y, z, first: there(first), second: there(second) }
+    }
 }
 
 /// Angles of the two rotary axes, degrees.
@@ -124,6 +169,26 @@ pub(super) fn sin_cos_deg(angle_deg: f64) -> (f64, f64) {
 }
 
 impl Rotary {
+    /// Letter of an axis that is not there; no file and no program can name it.
+    pub const ABSENT: char = '-';
+
+    /// An axis that a machine does not have.
+    fn absent(axis: Direction) -> Rotary {
+        Rotary {
+            letter: Rotary::ABSENT,
+            on: Mount::Table,
+            axis,
+            pivot_mm: [0.0; 3],
+            limits_deg: Some([0.0, 0.0]),
+            home_deg: 0.0,
+            rapid_deg_min: default_rotary_rapid(),
+        }
+    }
+
+    pub fn is_absent(&self) -> bool {
+        self.letter == Rotary::ABSENT
+    }
+
     /// Rotation of the carried body (Rodrigues).
     pub(super) fn rotation(&self, angle_deg: f64) -> DMat3 {
         let (s, c) = sin_cos_deg(angle_deg);
@@ -155,7 +220,7 @@ impl Rotary {
         };
         let least = ((low - ROUNDING_DEG - angle_deg) / 360.0).ceil();
         let most = ((high + ROUNDING_DEG - angle_deg) / 360.0).floor();
-        (least <= most).then(|| angle_deg + 360.0 * turn.clamp(least, most))
+        (least <= most).then(|| (angle_deg + 360.0 * turn.clamp(least, most)).max(low).min(high))
     }
 
     /// The angle within the limits nearest to `previous_deg`, when the axis is free to choose.
@@ -171,7 +236,15 @@ impl Rotary {
 /// inverse must not decide. Far below what an encoder resolves (0.001°).
 pub(super) const ROUNDING_DEG: f64 = 1e-6;
 
+/// Axes this nearly parallel turn the tool one way only; 1° still resolves.
+pub(super) const PARALLEL_SINE: f64 = 0.017;
+
 impl Chain {
+    /// The rotary axes that are there.
+    pub fn rotary_axes(&self) -> impl Iterator<Item = &Rotary> {
+        [&self.first, &self.second].into_iter().filter(|r| !r.is_absent())
+    }
+
     fn motion_of(&self, body: Mount, rotary: RotaryAngles) -> DAffine3 {
         self.rotaries(rotary)
             .filter(|(axis, _)| axis.on == body)
@@ -445,5 +518,70 @@ mod tests {
         // From +y: C = 90 turns the table by −90° about z: (1, 2) → (2, −1).
         let found = pose("5xm600", [0.0, 1.0, 0.0], [1.0, 2.0, 10.0]);
         assert_pose(found, 132.0, -1.0, 110.0 - 130.0, 90.0, 90.0);
+    }
+
+    /// The default machine without its rotary axes, or with one of them.
+    fn with_rotaries(keep: &[&str]) -> Machine {
+        let text = include_str!("presets/generic-5axis.toml");
+        let (linear, rest) = text.split_once("[kinematics.first]").unwrap();
+        let (first, rest) = rest.split_once("[kinematics.second]").unwrap();
+        let (second, control) = rest.split_once("[control]").unwrap();
+        let axes = keep.iter().map(|k| match *k {
+            "A" => format!("[kinematics.first]{first}"),
+            _ => format!("[kinematics.second]{second}"),
+        });
+        let text = format!("{linear}{}[control]{control}", axes.collect::<String>());
+        Machine::parse("fewer.toml", &text).unwrap()
+    }
+
+    #[test]
+    fn machines_of_three_and_four_axes_point_where_they_can() {
+        for (keep, ways, there) in [
+            (&[][..], 1, vec![Direction::Z]),
+            (&["A"][..], 45, vec![Direction::Z, Direction::Y, Direction::NEG_Y]),
+            (&["C"][..], 1, vec![Direction::Z]),
+        ] {
+            let machine = with_rotaries(keep);
+            let chain = &machine.kinematics;
+            assert_eq!(chain.rotary_axes().count(), keep.len());
+            let sampled = machine.sampled(Direction::Z, 200);
+            assert_eq!(sampled.len(), ways, "{keep:?}");
+            assert!(sampled.iter().all(|d| machine.can_point(Direction::Z, *d)));
+            for d in [Direction::Z, Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y]
+            {
+                assert_eq!(
+                    machine.can_point(Direction::Z, d),
+                    there.contains(&d),
+                    "{keep:?} {d:?}"
+                );
+            }
+            let placement = machine.placement(&Holding::AS_CLAMPED, DVec3::ZERO);
+            for d in sampled {
+                let angles = machine.nearest(&placement, d, chain.home()).unwrap();
+                let tip = DVec3::new(3.0, -20.0, 17.0);
+                let axes = chain.axes(&placement, angles, tip, 60.0);
+                let (again, way) = chain.tip(&placement, axes, 60.0);
+                assert!(again.distance(tip) < 1e-9 && way.vec().distance(d.vec()) < 1e-9);
+                for r in [(&chain.first, angles.first_deg), (&chain.second, angles.second_deg)] {
+                    assert!(!r.0.is_absent() || r.1 == 0.0);
+                }
+            }
+            // What is not there is neither written nor asked for.
+            let text = serde_json::to_string(&machine).unwrap();
+            assert!(!text.contains("\"letter\":\"-\""));
+            assert_eq!(serde_json::from_str::<Machine>(&text).unwrap(), machine);
+        }
+        let said = with_rotaries(&[]).nearest(
+            &Placement::turned(Direction::Z),
+            Direction::X,
+            RotaryAngles::default(),
+        );
+        assert!(said.unwrap_err().to_string().starts_with("without rotary axes nothing points"));
+        let said = with_rotaries(&["A"]).nearest(
+            &Placement::turned(Direction::Z),
+            Direction::X,
+            RotaryAngles::default(),
+        );
+        assert!(said.unwrap_err().to_string().starts_with("no A within the limits points"));
     }
 }

@@ -6,21 +6,31 @@
 //! sphere meet in two points, one or none. Then α turns p to x and β turns q to x. This is
 //! the second of the Paden–Kahan subproblems.
 
-use super::kinematics::{Chain, Mount, Rotary, RotaryAngles};
+use super::kinematics::{Chain, Mount, PARALLEL_SINE, Rotary, RotaryAngles};
 use super::placement::Placement;
 use crate::base::{DVec3, Direction};
 
 /// No angles within the limits point the tool along the direction.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "no {first} and {second} within the limits point the tool along ({:.6}, {:.6}, {:.6}); \
-     choose another direction or holding",
+    "{} the tool along ({:.6}, {:.6}, {:.6}); choose another direction or holding",
+    nothing_points(*.first, *.second),
     .direction.vec().x, .direction.vec().y, .direction.vec().z
 )]
 pub struct Unreachable {
     pub direction: Direction,
     pub first: char,
     pub second: char,
+}
+
+fn nothing_points(first: char, second: char) -> String {
+    let axes: Vec<String> =
+        [first, second].into_iter().filter(|l| *l != Rotary::ABSENT).map(String::from).collect();
+    match &axes[..] {
+        [] => "without rotary axes nothing points".into(),
+        [one] => format!("no {one} within the limits points"),
+        _ => format!("no {} within the limits point", axes.join(" and ")),
+    }
 }
 
 /// Below this sine a vector lies on a rotary axis and the angle about it is free. Larger values
@@ -168,8 +178,6 @@ impl Chain {
     /// Whether the two axes can turn a tool two ways: `Err` says what stands against it.
     pub(super) fn orientable(&self) -> Result<(), String> {
         let (one, two) = (&self.first, &self.second);
-        // Axes this nearly parallel turn the tool one way only; 1° still resolves.
-        const PARALLEL_SINE: f64 = 0.017;
         if one.axis.vec().cross(two.axis.vec()).length() < PARALLEL_SINE {
             return Err("the two rotary axes are parallel; the tool cannot turn two ways".into());
         }

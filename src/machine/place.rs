@@ -10,7 +10,7 @@ use super::kinematics::sin_cos_deg;
 use super::travel::corners;
 use super::workholding::{Table, Workholding};
 use super::{Holding, Machine};
-use crate::base::{Aabb, DMat3, DVec3, Direction, fibonacci_sphere};
+use crate::base::{Aabb, DMat3, DVec3, Direction};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -82,11 +82,10 @@ impl Machine {
     /// The place on the table from which a part whose box is given (work coordinates, mm), standing as
     /// clamped on the point under `contact_center`, is within travel most often.
     pub fn find_place(&self, part: Aabb, contact_center: DVec3) -> Place {
-        let directions: Vec<Direction> = fibonacci_sphere(DIRECTIONS)
-            .into_iter()
-            .chain([Direction::Z, Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y])
-            .filter(|d| self.can_point(Direction::Z, *d))
-            .collect();
+        let axes = [Direction::Z, Direction::X, Direction::NEG_X, Direction::Y, Direction::NEG_Y];
+        let axes = axes.into_iter().filter(|d| self.can_point(Direction::Z, *d));
+        let sampled = self.sampled(Direction::Z, DIRECTIONS / 2);
+        let directions: Vec<Direction> = sampled.into_iter().chain(axes).collect();
         let served = |place: Place| {
             let workholding = Workholding { place, ..self.workholding };
             let machine = Machine { workholding, ..self.clone() };

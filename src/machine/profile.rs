@@ -1,12 +1,16 @@
-use super::kinematics::{AxisValues, Chain, RotaryAngles};
+use super::kinematics::{AxisValues, Chain, Rotary, RotaryAngles};
 use super::orient::Unreachable;
 use super::placement::Placement;
 use super::process::{Control, Extruder};
 use super::travel::{NoPosture, Overtravel};
 use super::{Tool, ToolKind, Workholding};
-use crate::base::{DVec3, Direction};
+use crate::base::{DVec3, Direction, fibonacci_sphere};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// Turn of the one rotary axis of a machine of four axes from a sampled direction to the next, degrees:
+/// as close as those of five axes are. It divides a quarter.
+const TURN_DEG: f64 = 5.0;
 
 /// A machine: what holds the part, which tools it has and how its axes move.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -44,6 +48,35 @@ impl Machine {
     /// held with `up` away from the table.
     pub fn can_point(&self, up: Direction, d: Direction) -> bool {
         !self.kinematics.solutions(&Placement::turned(up), d).is_empty()
+    }
+
+    /// Directions (workpiece frame) along which the tool can be pointed while the part is held with
+    /// `up` away from the table: those of a lattice of `2 count` on the sphere that lie within the
+    /// limits. With one rotary axis, all that a turn by [`TURN_DEG`] after the other gives; with
+    /// none, the one there is.
+    pub fn sampled(&self, up: Direction, count: usize) -> Vec<Direction> {
+        let chain = &self.kinematics;
+        if chain.rotary_axes().count() == 2 {
+            let sphere = fibonacci_sphere(2 * count).into_iter();
+            return sphere.filter(|d| self.can_point(up, *d)).collect();
+        }
+        let placement = Placement::turned(up);
+        let steps = (360.0 / TURN_DEG) as i32;
+        let allowed = |r: &Rotary, angle: f64| if r.is_absent() { 0.0 } else { angle };
+        let mut found: Vec<Direction> = Vec::new();
+        for step in 0..steps {
+            let angle = (step - steps / 2) as f64 * TURN_DEG;
+            let rotary = RotaryAngles {
+                first_deg: allowed(&chain.first, angle),
+                second_deg: allowed(&chain.second, angle),
+            };
+            let d = chain.indexed(&placement, rotary, 0.0).tip(DVec3::ZERO).1;
+            let is_new = found.iter().all(|f| f.vec().distance(d.vec()) > 1e-9);
+            if is_new && self.can_point(up, d) {
+                found.push(d);
+            }
+        }
+        found
     }
 
     /// See [`Chain::solutions`].

@@ -168,7 +168,9 @@ impl<'a> Interpreter<'a> {
             held_anew: false,
             ended: false,
             nose: [None; 3],
-            rotary: [None; 2],
+            // An axis that is not there stands at zero from the beginning.
+            rotary: [machine.kinematics.first, machine.kinematics.second]
+                .map(|r| r.is_absent().then_some(0.0)),
             indexed: None,
         }
     }

@@ -1,6 +1,6 @@
 //! What every stage asks of the job: holdings, their fixed obstacles, directions.
 
-use crate::base::{DVec3, Direction, fibonacci_sphere};
+use crate::base::{DVec3, Direction};
 use crate::machine::{BaseKind, Holding, HoldingMode, Taken, Tool};
 use crate::plan::{Job, Step, StepKind};
 use crate::voxel::{BitGrid, Frame, distance_within};
@@ -135,10 +135,9 @@ impl<'a> Setting<'a> {
         all.into_iter().filter(|d| self.can_point(holding, *d)).collect()
     }
 
-    /// Sampled directions of a holding: those of a lattice of `2 count` on the sphere that lie
-    /// within the machine's limits, most of them on its upper half.
+    /// Sampled directions of a holding: see [`crate::machine::Machine::sampled`].
     pub fn sampled(&self, holding: usize, count: usize) -> Vec<Direction> {
-        fibonacci_sphere(2 * count).into_iter().filter(|d| self.can_point(holding, *d)).collect()
+        self.job.machine.sampled(self.holdings[holding].up, count)
     }
 }
 
