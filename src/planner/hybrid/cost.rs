@@ -47,6 +47,15 @@ impl Costs {
         of.get(tool).copied().unwrap_or(0.0) * voxels as f64
     }
 
+    /// Whether no other tool of its kind is cheaper.
+    pub fn is_cheapest(&self, kind: StepKind, tool: usize) -> bool {
+        let (all, least) = match kind {
+            StepKind::Subtractive => (&self.cutters, self.least_cutter),
+            StepKind::Additive => (&self.nozzles, self.least_nozzle),
+        };
+        all.get(tool).is_some_and(|c| *c == least)
+    }
+
     /// h (Eq. 39) of a state with so much too much and too little.
     pub fn remaining(&self, excess: usize, deficit: usize) -> f64 {
         self.least_nozzle * deficit as f64 + self.least_cutter * excess as f64

@@ -28,7 +28,8 @@
 //! - An under-cut is not made before a lower bound of its cost lets it pass.
 //! - Overhangs up to 45° carry themselves unless [`Options::overhang_deg`] says otherwise; the
 //!   paper has columns.
-//! - The goal test (Eq. 38) does not count skin: the rules of a plan do not either.
+//! - The goal test (Eq. 38) does not count skin: the rules of a plan do not either. What of it can
+//!   be reached is cut and filled after the goal, as long as that is worth a step.
 //! - The cost of a plan charges what it leaves within δ, and skin, as if it were moved, which makes
 //!   w = 0 exact.
 //!
@@ -56,7 +57,7 @@ use crate::base::Ctx;
 use crate::machine::{BaseKind, Holding};
 use crate::plan::{Job, Origin, Plan, Step, StepKind};
 use crate::planner::PlanError;
-use crate::search::{Ending, IdaOptions, Status, ida};
+use crate::search::{Ending, IdaOptions, Status, World, ida};
 use world::{Action, Shop};
 
 /// Relative rotations between two steps.
@@ -214,13 +215,20 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         let voxels = sacrifice::least_sacrifice(&shop, &job.initial, shop.costs.slack());
         bound += shop.costs.sacrificed(voxels);
     }
-    let plan = steps(&shop, &found.path);
+    let mut path = found.path;
+    let (mut cost, mut left) = (found.cost, found.shortfall);
+    if found.ending == Ending::Goal {
+        let (longer, paid, end) = shop.carried_on(path, options.most_steps)?;
+        (cost, left) = (paid + shop.remaining(&end), shop.shortfall(&end));
+        path = longer;
+    }
+    let plan = steps(&shop, &path);
     let report = Report {
-        cost: found.cost * voxel,
+        cost: cost * voxel,
         bound: bound * voxel,
         expanded: found.expanded,
         rounds: found.rounds,
-        left_mm3: found.shortfall * voxel,
+        left_mm3: left * voxel,
         goal: found.ending == Ending::Goal,
         trace,
         notes,

@@ -345,6 +345,33 @@ fn with_skin_it_is_so_as_well() {
     equals_trying_all([8, 8, 8], 0..6, 3, 1, 1.0);
 }
 
+/// Stock all round within the surface tolerance is no residual, but it is there to be cut; and what is
+/// worn off to be filled.
+#[test]
+fn skin_that_can_be_reached_is_cut_and_filled() {
+    let dims = [12, 11, 10];
+    let inner = |v: [usize; 3], by: usize| {
+        (0..2).all(|a| (2 - by..dims[a] - 2 + by).contains(&v[a])) && v[2] < dims[2] - 3 + by
+    };
+    let (small, large) =
+        (BitGrid::from_fn(dims, |v| inner(v, 0)), BitGrid::from_fn(dims, |v| inner(v, 1)));
+    for (initial, target, kind) in
+        [(large.clone(), small.clone(), StepKind::Subtractive), (small, large, StepKind::Additive)]
+    {
+        let mut job = job(initial, target);
+        job.rules.tolerance_mm = 1.5;
+        job.cutters.remove(0);
+        let (plan, report) = super::plan(&job, &exact(), &Ctx::quiet()).unwrap();
+        assert!(report.goal && !plan.steps.is_empty());
+        assert!(plan.steps.iter().all(|s| s.kind == kind));
+        let moved: usize = plan.steps.iter().map(|s| s.region.count()).sum();
+        let off = job.initial.count().abs_diff(job.target.count());
+        // At the foot a few voxels have nothing to lean on.
+        assert!(moved <= off && moved * 100 >= off * 98, "{kind:?}: {moved} of {off}");
+        assert!((report.cost - report.bound).abs() < 1e-9);
+    }
+}
+
 /// A box closed on all sides: whoever empties it cuts through its lid.
 #[test]
 fn a_closed_box_costs_its_lid() {

@@ -34,7 +34,8 @@ pub struct Reused {
 impl Reused {
     fn new(solid: BitGrid, job: &Job) -> Reused {
         let skin = distance_within(&solid, job.rules.tolerance_mm / job.frame.pitch);
-        let key = Packed::of(&solid).key().rotate_left(64);
+        // Not the workpiece's own key, which may be the same set.
+        let key = Packed::of(&solid).key().wrapping_mul(KEY_FACTOR);
         Reused { solid, skin, key }
     }
 
@@ -42,6 +43,9 @@ impl Reused {
         (self.solid.words().len() + self.skin.words().len()) * size_of::<u64>()
     }
 }
+
+/// An odd number without structure.
+const KEY_FACTOR: u128 = 0x9E37_79B9_7F4A_7C15_F39C_C060_5CED_C835;
 
 /// A workpiece and how the last step held it.
 #[derive(Clone, Debug)]
@@ -133,6 +137,44 @@ impl<'a> Shop<'a> {
             reused,
             up: if self.relative { up } else { 0 },
         }
+    }
+
+    /// Follows `path` and goes on by over-cuts and under-fills with the cheapest tools, the one
+    /// that moves most first, as long as one moves enough for a step: skin that no goal asks for,
+    /// but which is there to be reached. None of them costs more than h charges for what it moves.
+    /// The path, what it costs and the state it ends in.
+    pub fn carried_on(
+        &self,
+        mut path: Vec<Action>,
+        most_steps: usize,
+    ) -> Result<(Vec<Action>, f64, State), Cancelled> {
+        let (mut state, mut paid) = (self.start(), 0.0);
+        for action in &path {
+            let solid = state.solid.grid();
+            let Some(region) = self.apply(&solid, *action) else { break };
+            paid += self.costs.moved(action.kind(), action.tool, region.count());
+            let after = match action.kind() {
+                StepKind::Subtractive => solid.minus(&region),
+                StepKind::Additive => solid.or(&region),
+            };
+            state = self.after(&state, &after, action.axis);
+        }
+        while path.len() < most_steps && state.excess + state.deficit >= self.least {
+            let ways = self.successors(&state)?.into_iter().filter_map(|way| match way {
+                Successor::Made(made) => Some(made),
+                Successor::Promised { .. } => None,
+            });
+            let off = |s: &State| s.excess + s.deficit;
+            let best = ways
+                .filter(|m| matches!(m.action.action, plan::Action::OC | plan::Action::UF))
+                .filter(|m| self.costs.is_cheapest(m.action.kind(), m.action.tool))
+                .min_by_key(|m| off(&m.state));
+            let Some(best) = best.filter(|m| off(&m.state) < off(&state)) else { break };
+            path.push(best.action);
+            paid += best.cost;
+            state = best.state;
+        }
+        Ok((path, paid, state))
     }
 
     /// Bytes that states made so far take.
