@@ -198,7 +198,7 @@ impl Tool {
     }
 }
 
-/// A tool as its file says it: sections may be meshes, which a [`Tool`] has as the solids that they
+/// A tool as its file says it: sections may be meshes, for which the tool has the solids that they
 /// sweep about its axis.
 #[derive(Deserialize, JsonSchema)]
 #[serde(rename = "Tool", deny_unknown_fields)]
@@ -225,17 +225,26 @@ impl ToolFile {
             from.extend(own.iter().map(|_| i));
             sections.extend(own);
         }
+        let is_mesh: Vec<bool> = self.section.iter().map(Flat::is_mesh).collect();
         let ToolFile { name, kind, process, taken, .. } = self;
         let tool = Tool { name, kind, sections, process, taken };
-        match tool.find_bad_figure(&[]) {
-            Ok(()) => Ok(tool),
-            Err(BadFigure { at: steps, what }) => match steps[..] {
-                [Step::Key("section"), Step::Index(i)] if i < from.len() => {
-                    Err(bad(&at(from[i]), what))
-                }
-                _ => Err(BadFigure { at: steps, what }),
-            },
+        // In the words of the file: its own sections, not those that a mesh became.
+        if let Err(InvalidTool::BadSection { tool, section, what }) = tool.validate()
+            && let Some(own) = from.get(section.saturating_sub(1))
+        {
+            let section = own + 1;
+            return Err(bad(&at(*own), InvalidTool::BadSection { tool, section, what }));
         }
+        let top = |i: usize| tool.sections[i].shape.top();
+        let topmost = (0..from.len()).max_by(|a, b| top(*a).total_cmp(&top(*b)));
+        let is_drawn = topmost.is_some_and(|t| is_mesh[from[t]]);
+        if is_drawn && tool.process.gauge_mm.is_none() {
+            let what = "the topmost section is a mesh, which does not say where the spindle's nose \
+                        is; give process.gauge_mm, its height over the tip";
+            return Err(bad(&[Step::Key("section")], what));
+        }
+        tool.find_bad_figure(&[])?;
+        Ok(tool)
     }
 }
 
@@ -402,11 +411,14 @@ mod tests {
         assert!(matches!(Tool::load(&path), Err(ProfileError::TooLarge { .. })));
     }
 
-    /// A square rod of 2 mm as OBJ; without its last triangle it is open.
-    fn rod(triangles: usize) -> String {
-        let mesh = TriMesh::cuboid(DVec3::new(-1.0, -1.0, 0.0), DVec3::new(1.0, 1.0, 30.0));
+    /// Square rods as OBJ, each (half its width, lower end, upper end).
+    fn rods(sizes: &[[f64; 3]]) -> String {
+        let rod = |[half, z0, z1]: &[f64; 3]| {
+            TriMesh::cuboid(DVec3::new(-half, -half, *z0), DVec3::new(*half, *half, *z1))
+        };
+        let mesh = TriMesh::joined(&sizes.iter().map(rod).collect::<Vec<_>>());
         let vertices = mesh.vertices().iter().map(|v| format!("v {} {} {}\n", v.x, v.y, v.z));
-        let faces = mesh.triangles().iter().take(triangles).map(|t| t.map(|i| i + 1));
+        let faces = mesh.triangles().iter().map(|t| t.map(|i| i + 1));
         vertices.chain(faces.map(|[a, b, c]| format!("f {a} {b} {c}\n"))).collect()
     }
 
@@ -419,8 +431,14 @@ mod tests {
             std::fs::write(&path, text).unwrap();
             Tool::load(&path)
         };
-        std::fs::write(dir.path().join("rod.obj"), rod(12)).unwrap();
-        std::fs::write(dir.path().join("open.obj"), rod(11)).unwrap();
+        let (rod, head) = ([1.0, 0.0, 30.0], [4.0, 30.0, 50.0]);
+        let text = rods(&[rod]);
+        let whole = text.trim_end().rsplit_once('\n').map_or("", |lines| lines.0);
+        for (name, text) in
+            [("rod.obj", &text[..]), ("open.obj", whole), ("stepped.obj", &rods(&[rod, head]))]
+        {
+            std::fs::write(dir.path().join(name), text).unwrap();
+        }
         let head = "{ shape = \"platform\", z = 30.0 }";
         let tool = load(&format!("{{ shape = \"mesh\", file = \"rod.obj\" }},\n{head}")).unwrap();
         let r = 2.0_f64.sqrt();
@@ -432,9 +450,15 @@ mod tests {
             ("{ shape = \"platform\", z = 0.0, file = \"a\" },\n", 4, "`file` does not belong"),
             ("{ shape = \"mesh\", file = \"open.obj\" },\n", 4, "not closed"),
             ("{ shape = \"mesh\", file = \"none.obj\" },\n", 4, "none.obj"),
+            (
+                "{ shape = \"mesh\", file = \"rod.obj\", active = true },\n",
+                4,
+                "an edge is drawn as",
+            ),
+            ("{ shape = \"mesh\", file = \"rod.obj\" },\n", 3, "give process.gauge_mm"),
             // The second section of the file, though the third of the tool.
             (
-                "{ shape = \"mesh\", file = \"rod.obj\" },\n{ shape = \"ball\", radius = -1.0 },\n",
+                "{ shape = \"mesh\", file = \"stepped.obj\" },\n{ shape = \"ball\", radius = -1.0 },\n",
                 5,
                 "section 2: -1 is not a length",
             ),

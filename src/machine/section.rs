@@ -27,18 +27,15 @@ pub(super) enum Written {
     Drawn(Drawn),
 }
 
-/// A closed mesh in mm, its tip at the origin and the tool's axis along +z. The tool is what it sweeps
-/// when it turns about that axis.
+/// A closed mesh in mm, its tip at the origin and the tool's axis along +z: a shank, a holder, a nozzle or a
+/// head. It takes the room that it sweeps when it turns about that axis.
 #[derive(JsonSchema)]
-#[serde(rename = "Mesh")]
+#[serde(rename = "Mesh", deny_unknown_fields)]
 #[allow(dead_code, reason = "describes files; they are read as `Flat`")]
 pub(super) struct Drawn {
     shape: MeshShape,
     /// An OBJ, STL, PLY, OFF or 3MF file, from the tool file's folder.
     file: PathBuf,
-    /// Belongs to K: it cuts, or is the bead.
-    #[serde(default)]
-    active: bool,
 }
 
 #[derive(JsonSchema)]
@@ -118,6 +115,10 @@ impl Flat {
         Ok(Section { shape, active: self.active })
     }
 
+    pub(super) fn is_mesh(&self) -> bool {
+        matches!(self.shape, Kind::Mesh)
+    }
+
     /// The sections that this one of a tool file in `folder` stands for.
     pub(super) fn sections(&self, folder: &Path) -> Result<Vec<Section>, String> {
         let (Kind::Mesh, Some(file)) = (self.shape, &self.file) else {
@@ -130,6 +131,13 @@ impl Flat {
         if [radius, corner, z, z0, r0, z1, r1].into_iter().any(Option::is_some) {
             return Err("a mesh takes file, and nothing else".into());
         }
+        if *active {
+            return Err(
+                "an edge is drawn as ball, bull-nose or frustum; a shank, a holder or a nozzle \
+                        may be a mesh"
+                    .into(),
+            );
+        }
         let path = folder.join(file);
         let read = mesh::read(&path, &mesh::ReadOptions::default()).map_err(|e| e.to_string())?;
         let named = |what: String| format!("{}: {what}", path.display());
@@ -137,7 +145,7 @@ impl Flat {
             return Err(named("the mesh is not closed; a tool needs a closed surface".into()));
         }
         let shapes = frusta(&read.mesh).map_err(named)?;
-        Ok(shapes.into_iter().map(|shape| Section { shape, active: *active }).collect())
+        Ok(shapes.into_iter().map(|shape| Section { shape, active: false }).collect())
     }
 }
 
