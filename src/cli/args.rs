@@ -74,7 +74,7 @@ pub struct PlanArgs {
     #[arg(long, value_enum)]
     pub planner: Option<Planner>,
     /// Search the target's pose in the initial part, or keep the poses of the files; from nothing,
-    /// planner search tries the other ways up where the file's leaves more than the rules allow
+    /// planner search tries the other ways up where the first leaves more than δ allows
     #[arg(long, value_enum, default_value_t = Setup::Search)]
     pub setup: Setup,
 

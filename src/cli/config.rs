@@ -283,7 +283,7 @@ fn candidates(args: &PlanArgs, nullified: bool) -> Result<Option<usize>, Failure
         None if reman => Ok(None),
         None | Some(1) => Ok(Some(1)),
         _ if !reman => Err(Failure::input(
-            "--setup-candidates goes with planner reman; the others plan one placement",
+            "--setup-candidates goes with planner reman; the others choose by themselves",
         )),
         _ if args.setup == Setup::Keep => Err(Failure::input(
             "--setup keep leaves no placement to choose; leave out --setup-candidates",

@@ -4,8 +4,8 @@
 //! the target in the initial part, which stays as it stands or, on request, is laid on another of
 //! its faces. The best placement is planned. Asked for so many candidates, that many are planned in
 //! full and the best plan is kept. Where planner search begins with nothing, the candidates are the six
-//! ways of putting the target on the table, its file's first; they are planned until a plan is within
-//! the rules. Asked for none in particular, the others have a say only where the
+//! ways of putting the target on the table, its file's first; they are planned until a search ends within
+//! δ of the target. Asked for none in particular, the others have a say only where the
 //! plan of the first keeps little of what both parts have in common there: each is then looked at on a
 //! coarse grid, and of those that promise more, the most promising first, at most two are planned as
 //! well, until one keeps enough.
@@ -208,7 +208,8 @@ pub fn best_of(
     Ok(best)
 }
 
-/// Plans one way up after the other, as long as there is time, until a plan is within the rules.
+/// Plans one way up after the other, as long as there is time, until one ends within δ of the target. A way
+/// that cannot be planned counts only where it is the first.
 fn best_way_up(
     parts: &mut Parts,
     places: &[Place],
@@ -224,7 +225,13 @@ fn best_way_up(
             break;
         }
         let up = axis_up(&place.motion);
-        let made = plan_at(parts, place, config, ctx, clock)?;
+        let made = match plan_at(parts, place, config, ctx, clock) {
+            Err(e) if best.is_some() && !matches!(e, Failure::Interrupted) => {
+                others.push(format!("{up} cannot be planned: {e}"));
+                continue;
+            }
+            made => made?,
+        };
         let standing = made.standing();
         let left = |up: &str, m: &Made| format!("{up} {:.1} mm³", m.standing().left_mm3);
         match &best {

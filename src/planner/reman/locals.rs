@@ -37,8 +37,9 @@ const MOST_ELEMENTS: usize = 10;
 /// A region on the coarse grid below this volume (mm³) is its staircase, not the part's.
 const LEAST_COARSE_MM3: f64 = 8.0;
 
-/// The best attempt under local planes; none where they promise to keep no more than `best` does.
-pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, PlanError> {
+/// The best attempt under local planes, and whether these are meant for supports, without which it may be
+/// worse than `best`; none where they promise to keep no more than that does.
+pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<(Attempt, bool)>, PlanError> {
     let Run { start, normals, options, report, clock, ctx, .. } = run;
     let job = start.setting.job;
     let cells = Coarse::cells(job);
@@ -60,7 +61,10 @@ pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pla
     clock.lap("blocks");
     made.tell("local", 0);
     // Planes more would be chosen for what the blocks leave without supports.
-    if need_supports { Ok(Some(made)) } else { improved(run, made).map(Some) }
+    match need_supports {
+        true => Ok(Some((made, true))),
+        false => improved(run, made).map(|made| Some((made, false))),
+    }
 }
 
 /// An attempt with local planes added for what it left, as long as that makes it better.

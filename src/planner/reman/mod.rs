@@ -420,7 +420,9 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
         false => None,
     };
     Ok(match local {
-        Some(local) if local.rank(job) < global.rank(job) => vec![local, global],
+        Some((local, for_supports)) if for_supports || local.rank(job) < global.rank(job) => {
+            vec![local, global]
+        }
         _ if enough => vec![global],
         _ => vec![improved(run, global)?],
     })
