@@ -52,7 +52,7 @@ impl Machine {
 
     /// Directions (workpiece frame) along which the tool can be pointed while the part is held with
     /// `up` away from the table: those of a lattice of `2 count` on the sphere that lie within the
-    /// limits. With one rotary axis, all that a turn by [`TURN_DEG`] after the other gives; with
+    /// limits. With one rotary axis, all that a turn by 5° after the other gives; with
     /// none, the one there is.
     pub fn sampled(&self, up: Direction, count: usize) -> Vec<Direction> {
         let chain = &self.kinematics;
