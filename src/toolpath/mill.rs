@@ -46,6 +46,10 @@ const LUMP_SHARE: f64 = 0.9;
 /// counts as a gouge, rounding of three decimals included.
 const NICK_MM: f64 = 0.045;
 
+/// Steps down are no finer than this share of a cell: a sharp tip's own, which would leave no ridge,
+/// has no lower bound.
+const LEAST_STEP_SHARE: f64 = 0.1;
+
 /// What a step works on.
 pub(super) struct Work<'a> {
     pub job: &'a Job,
@@ -289,9 +293,11 @@ impl<'a> Stage<'a> {
         let start = due.iter().map(|i| open(*i)).fold(f32::NEG_INFINITY, f32::max);
         let start = start.min(self.safe as f32) + same;
         let lowest = due.iter().map(|i| bottom[*i]).fold(f32::INFINITY, f32::min);
-        let (step, mut k) = (self.process.step_down as f32, 1.0);
+        let least = LEAST_STEP_SHARE * self.lattice.s;
+        let (step, mut k) = (self.process.step_down.max(least) as f32, 1.0);
         let mut last = start + same;
         while last > lowest + same {
+            self.work.ctx.check()?;
             let level = start - k * step;
             let z = |i: usize| bottom[i].max(level);
             let mut set = vec![false; bottom.len()];

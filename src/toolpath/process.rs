@@ -45,14 +45,17 @@ impl Milling {
     }
 
     /// Distance between finishing passes: two arcs of the nose radius r leave a ridge of height c
-    /// at 2·√(2rc − c²); a flat part of the end adds its half-width.
+    /// at 2·√(2rc − c²), two cones that rise by m one at 2·c/m; a flat part of the end adds its
+    /// half-width.
     pub fn finishing_stepover(&self, tool: &Tool) -> f64 {
         let ridge = |r: f64| 2.0 * (2.0 * r * self.scallop - self.scallop.powi(2)).max(0.0).sqrt();
         let edges = tool.sections.iter().filter(|s| s.active).map(|s| s.shape);
         let nose = edges.filter(|s| s.lower_surface(0.0) == 0.0).map(|s| match s {
             Shape::Ball { radius } => ridge(radius),
             Shape::BullNose { radius, corner } => ridge(corner) + (radius - corner),
-            Shape::Frustum { r0, .. } => r0,
+            Shape::Frustum { z0, z1, r0, r1 } => {
+                r0 + 2.0 * self.scallop * (r1 - r0).max(0.0) / (z1 - z0)
+            }
             Shape::Platform { .. } => self.stepover,
         });
         nose.fold(f64::INFINITY, f64::min).min(self.stepover)

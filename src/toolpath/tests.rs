@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::base::Direction;
-use crate::machine::{Machine, ToolKind};
+use crate::machine::{Machine, Shape, ToolKind};
 use crate::mesh::TriMesh;
 use crate::plan::{Origin, Rules, Step};
 use crate::voxel::Frame;
@@ -384,4 +384,22 @@ fn what_was_cut_away_is_printed_up_to_the_meshes_own_face() {
     let steps: BTreeSet<i64> =
         heights.iter().zip(heights.iter().skip(1)).map(|(a, b)| b - a).collect();
     assert_eq!((heights.len(), steps), (40, BTreeSet::from([200])));
+}
+
+/// A sharp tip leaves no ridge however fine its passes are; they once had no least distance, and
+/// the levels of a steep face no end.
+#[test]
+fn a_sharp_cone_makes_paths_that_end() {
+    let mut w = pocket("generic-5axis");
+    let cutter = &mut w.job.cutters[0];
+    let edge = cutter.sections.iter_mut().find(|s| s.active).unwrap();
+    edge.shape = Shape::Frustum { z0: 0.0, r0: 0.0, z1: 10.0, r1: 2.0 };
+    cutter.sections.retain(|s| !s.active || matches!(s.shape, Shape::Frustum { z0: 0.0, .. }));
+    let made = paths(&w);
+    assert!(made[0].moves.len() > 100);
+    let milling = Milling::of(&w.job.machine, &w.job.cutters[0]);
+    // Two flanks rising 5 mm for each mm outward meet at the scallop's height.
+    let apart = milling.finishing_stepover(&w.job.cutters[0]);
+    assert!((apart * 5.0 / 2.0 - milling.scallop).abs() < 1e-12);
+    assert!(milling.scallop > 0.0);
 }
