@@ -136,126 +136,155 @@ impl Made {
     }
 }
 
-/// Plans the places, as long as there is time, and keeps the best plan.
-pub fn best_of(
-    parts: &mut Parts,
-    places: &[Place],
-    config: &PlanConfig,
-    ctx: &Ctx,
-    clock: &mut Clock,
-) -> Result<Made, Failure> {
-    let Some((first, others)) = places.split_first() else {
-        return Err(Failure::input("the setup search found no placement"));
-    };
-    if parts.initial.is_none() && !others.is_empty() {
-        return best_way_up(parts, places, config, ctx, clock);
-    }
-    let mut best = plan_at(parts, first, config, ctx, clock)?;
-    let told = |i: usize, s: &reman::Standing, how: &str| {
-        let what = match s.class {
-            0 => format!("a complete plan that gives up {:.1} mm³", s.given_up_mm3),
-            1 => format!("{:.1} mm³ given up, {:.1} mm³ left", s.given_up_mm3, s.left_mm3),
-            _ => format!(
-                "{:.1} mm³ given up, {:.1} mm³ left, more than the rules allow",
-                s.given_up_mm3, s.left_mm3
-            ),
-        };
-        let share = 100.0 * places[i].reused_share;
-        format!("Placement {} of {}, {share:.1} % inside{how}: {what}.", i + 1, places.len())
-    };
-    if others.is_empty() {
-        return Ok(best);
-    }
-    let mut lines = vec![told(0, &best.standing(), "")];
-    let all_asked_for = config.setup_candidates.is_some();
-    let is_enough = |best: &Made| !all_asked_for && best.keeps_enough();
-    if is_enough(&best) {
-        return Ok(best);
-    }
-    let rest: Vec<usize> = if all_asked_for {
-        (1..places.len()).collect()
-    } else {
-        let mut glances = Vec::new();
-        for (i, place) in places.iter().enumerate() {
-            if ctx.out_of_time() {
-                break;
-            }
-            let standing = clock.time("setup", || look_at(parts, place, config, ctx))?;
-            lines.push(told(i, &standing, " at a glance"));
-            glances.push((standing.loss_mm3(), i));
-        }
-        // Those that promise more than the first does by the same measure.
-        let first = glances.first().map_or(0.0, |g| g.0);
-        glances.retain(|g| g.0 < first);
-        glances.sort_by(|a, b| a.0.total_cmp(&b.0));
-        glances.into_iter().take(MOST_MORE).map(|(_, i)| i).collect()
-    };
-    for i in rest {
-        if ctx.out_of_time() {
-            lines.push("The time limit came before the other placements.".into());
-            break;
-        }
-        let made = plan_at(parts, &places[i], config, ctx, clock)?;
-        lines.push(told(i, &made.standing(), ""));
-        if made.standing() < best.standing() {
-            best = made;
-        }
-        if is_enough(&best) {
-            break;
-        }
-    }
-    best.notes.extend(lines);
-    Ok(best)
+/// What every placement is planned with.
+pub struct Placing<'a> {
+    pub parts: &'a mut Parts,
+    pub config: &'a PlanConfig,
+    pub ctx: &'a Ctx,
+    pub clock: &'a mut Clock,
 }
 
-/// Plans one way up after the other, as long as there is time, until one ends within δ of the target. A way
-/// that cannot be planned counts only where it is the first.
-fn best_way_up(
-    parts: &mut Parts,
-    places: &[Place],
-    config: &PlanConfig,
-    ctx: &Ctx,
-    clock: &mut Clock,
-) -> Result<Made, Failure> {
-    let mut best: Option<(Made, String)> = None;
-    let mut others = Vec::new();
-    for place in places {
-        if best.is_some() && ctx.out_of_time() {
-            others.push("no time for the rest".to_string());
-            break;
-        }
-        let up = axis_up(&place.motion);
-        let made = match plan_at(parts, place, config, ctx, clock) {
-            Err(e) if best.is_some() && !matches!(e, Failure::Interrupted) => {
-                others.push(format!("{up} cannot be planned: {e}"));
-                continue;
-            }
-            made => made?,
+impl Placing<'_> {
+    /// Plans the places, as long as there is time, and keeps the best plan.
+    pub fn best_of(&mut self, places: &[Place]) -> Result<Made, Failure> {
+        let Some((first, others)) = places.split_first() else {
+            return Err(Failure::input("the setup search found no placement"));
         };
-        let standing = made.standing();
-        let left = |up: &str, m: &Made| format!("{up} {:.1} mm³", m.standing().left_mm3);
-        match &best {
-            Some((b, _)) if standing >= b.standing() => others.push(left(&up, &made)),
-            _ => {
-                let before = best.replace((made, up));
-                others.extend(before.map(|(m, up)| left(&up, &m)));
+        if self.parts.initial.is_none() && !others.is_empty() {
+            return self.best_way_up(places);
+        }
+        let mut best = self.plan_at(first)?;
+        let told = |i: usize, s: &reman::Standing, how: &str| {
+            let what = match s.class {
+                0 => format!("a complete plan that gives up {:.1} mm³", s.given_up_mm3),
+                1 => format!("{:.1} mm³ given up, {:.1} mm³ left", s.given_up_mm3, s.left_mm3),
+                _ => format!(
+                    "{:.1} mm³ given up, {:.1} mm³ left, more than the rules allow",
+                    s.given_up_mm3, s.left_mm3
+                ),
+            };
+            let share = 100.0 * places[i].reused_share;
+            format!("Placement {} of {}, {share:.1} % inside{how}: {what}.", i + 1, places.len())
+        };
+        if others.is_empty() {
+            return Ok(best);
+        }
+        let mut lines = vec![told(0, &best.standing(), "")];
+        let all_asked_for = self.config.setup_candidates.is_some();
+        let is_enough = |best: &Made| !all_asked_for && best.keeps_enough();
+        if is_enough(&best) {
+            return Ok(best);
+        }
+        let rest: Vec<usize> = if all_asked_for {
+            (1..places.len()).collect()
+        } else {
+            let mut glances = Vec::new();
+            for (i, place) in places.iter().enumerate() {
+                if self.ctx.out_of_time() {
+                    break;
+                }
+                let standing = self.look_at(place)?;
+                lines.push(told(i, &standing, " at a glance"));
+                glances.push((standing.loss_mm3(), i));
+            }
+            // Those that promise more than the first does by the same measure.
+            let first = glances.first().map_or(0.0, |g| g.0);
+            glances.retain(|g| g.0 < first);
+            glances.sort_by(|a, b| a.0.total_cmp(&b.0));
+            glances.into_iter().take(MOST_MORE).map(|(_, i)| i).collect()
+        };
+        for i in rest {
+            if self.ctx.out_of_time() {
+                lines.push("The time limit came before the other placements.".into());
+                break;
+            }
+            let made = self.plan_at(&places[i])?;
+            lines.push(told(i, &made.standing(), ""));
+            if made.standing() < best.standing() {
+                best = made;
+            }
+            if is_enough(&best) {
+                break;
             }
         }
-        if standing.class < 2 {
-            break;
+        best.notes.extend(lines);
+        Ok(best)
+    }
+
+    /// Plans one way up after the other, as long as there is time, until one ends within δ of the target. A way
+    /// that cannot be planned counts only where it is the first.
+    fn best_way_up(&mut self, places: &[Place]) -> Result<Made, Failure> {
+        let mut best: Option<(Made, String)> = None;
+        let mut others = Vec::new();
+        for place in places {
+            if best.is_some() && self.ctx.out_of_time() {
+                others.push("no time for the rest".to_string());
+                break;
+            }
+            let up = axis_up(&place.motion);
+            let made = match self.plan_at(place) {
+                Err(e) if best.is_some() && !matches!(e, Failure::Interrupted) => {
+                    others.push(format!("{up} cannot be planned: {e}"));
+                    continue;
+                }
+                made => made?,
+            };
+            let standing = made.standing();
+            let left = |up: &str, m: &Made| format!("{up} {:.1} mm³", m.standing().left_mm3);
+            match &best {
+                Some((b, _)) if standing >= b.standing() => others.push(left(&up, &made)),
+                _ => {
+                    let before = best.replace((made, up));
+                    others.extend(before.map(|(m, up)| left(&up, &m)));
+                }
+            }
+            if standing.class < 2 {
+                break;
+            }
         }
+        let Some((mut best, up)) = best else {
+            return Err(Failure::input("the setup search found no placement"));
+        };
+        if !others.is_empty() {
+            let own = best.standing().left_mm3;
+            best.notes.push(format!(
+                "Setup: {up} of the file up leaves {own:.1} mm³; {}.",
+                others.join(", ")
+            ));
+        }
+        Ok(best)
     }
-    let Some((mut best, up)) = best else {
-        return Err(Failure::input("the setup search found no placement"));
-    };
-    if !others.is_empty() {
-        let own = best.standing().left_mm3;
-        best.notes.push(format!(
-            "Setup: {up} of the file up leaves {own:.1} mm³; {}.",
-            others.join(", ")
-        ));
+
+    /// How a plan may stand with the target at a place.
+    fn look_at(&mut self, place: &Place) -> Result<reman::Standing, Failure> {
+        let Placing { parts, config, ctx, clock } = self;
+        clock.time("setup", || {
+            let prepared = prepare(parts, &place.motion, config, ctx, &mut Clock::start())?;
+            reman::glance(&prepared.job, &config.reman, ctx).map_err(pipeline::failure)
+        })
     }
-    Ok(best)
+
+    /// Plans with the target at a place.
+    fn plan_at(&mut self, place: &Place) -> Result<Made, Failure> {
+        let Placing { parts, config, ctx, clock } = self;
+        let mut notes = place.notes.clone();
+        let mut prepared = prepare(parts, &place.motion, config, ctx, clock)?;
+        if config.setup == Setup::Search && config.is_reman() {
+            let looked = || reman::shift_off_hidden(&prepared.job, &config.reman, ctx);
+            if let Some(shift) = clock.time("setup", looked)? {
+                let by = DVec3::from_array(shift.map(|n| n as f64 * prepared.job.frame.pitch));
+                let motion = DAffine3::from_translation(by) * place.motion;
+                prepared = prepare(parts, &motion, config, ctx, clock)?;
+                notes.push(format!(
+                    "The target was moved on by ({:.2}, {:.2}, {:.2}) mm, so that the reused \
+                 volume hides nothing of what is printed.",
+                    by.x, by.y, by.z
+                ));
+            }
+        }
+        let planned = pipeline::plan(&prepared.job, config, ctx, clock)?;
+        Ok(Made { prepared, planned, notes })
+    }
 }
 
 /// Which axis of its file a part has up: "-x".
@@ -268,44 +297,6 @@ fn axis_up(plan_from_part: &DAffine3) -> String {
         () => ("z", up.z),
     };
     format!("{}{name}", if along < 0.0 { "-" } else { "" })
-}
-
-/// How a plan may stand with the target at a place.
-fn look_at(
-    parts: &mut Parts,
-    place: &Place,
-    config: &PlanConfig,
-    ctx: &Ctx,
-) -> Result<reman::Standing, Failure> {
-    let prepared = prepare(parts, &place.motion, config, ctx, &mut Clock::start())?;
-    reman::glance(&prepared.job, &config.reman, ctx).map_err(pipeline::failure)
-}
-
-/// Plans with the target at a place.
-fn plan_at(
-    parts: &mut Parts,
-    place: &Place,
-    config: &PlanConfig,
-    ctx: &Ctx,
-    clock: &mut Clock,
-) -> Result<Made, Failure> {
-    let mut notes = place.notes.clone();
-    let mut prepared = prepare(parts, &place.motion, config, ctx, clock)?;
-    if config.setup == Setup::Search && config.is_reman() {
-        let looked = || reman::shift_off_hidden(&prepared.job, &config.reman, ctx);
-        if let Some(shift) = clock.time("setup", looked)? {
-            let by = DVec3::from_array(shift.map(|n| n as f64 * prepared.job.frame.pitch));
-            let motion = DAffine3::from_translation(by) * place.motion;
-            prepared = prepare(parts, &motion, config, ctx, clock)?;
-            notes.push(format!(
-                "The target was moved on by ({:.2}, {:.2}, {:.2}) mm, so that the reused \
-                 volume hides nothing of what is printed.",
-                by.x, by.y, by.z
-            ));
-        }
-    }
-    let planned = pipeline::plan(&prepared.job, config, ctx, clock)?;
-    Ok(Made { prepared, planned, notes })
 }
 
 /// What there is before planning begins.

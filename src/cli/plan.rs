@@ -4,7 +4,7 @@ use super::args::OutputArgs;
 use super::config::PlanConfig;
 use super::exit::{Exit, Failure};
 use super::output::{self, Destination};
-use super::placing::{Made, Prepared, best_of, load, places};
+use super::placing::{Made, Placing, Prepared, load, places};
 use super::{inputs, pipeline, progress, summary};
 use hmplan::base::Ctx;
 use hmplan::plan::{
@@ -51,7 +51,8 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     let ctx = context(output, config.time_limit_s, config.seed)?;
     let mut parts = load(config, &mut clock)?;
     let places = places(&mut parts, config, &ctx, &mut clock)?;
-    let Made { prepared, planned, notes } = best_of(&mut parts, &places, config, &ctx, &mut clock)?;
+    let mut placing = Placing { parts: &mut parts, config, ctx: &ctx, clock: &mut clock };
+    let Made { prepared, planned, notes } = placing.best_of(&places)?;
     let Prepared { job, inputs } = prepared;
     let pipeline::Planned { plan, mut figures, schedule, trace, .. } = planned;
     figures.notes.splice(0..0, notes);
