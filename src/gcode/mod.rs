@@ -11,7 +11,6 @@
 
 mod arcs;
 mod beads;
-mod cells;
 mod check;
 mod deviation;
 mod dialect;

@@ -6,14 +6,13 @@
 //! later; contact shallower than the stated depth.
 
 use super::beads::beads;
-use super::cells::Cells;
 use super::interpret::{Gait, MOST_FINDINGS, Motion};
 use super::report::{Finding, Rule, StepFigures};
 use super::skyline::Skyline;
 use crate::base::{Ctx, DVec2, DVec3, ImagePlane};
 use crate::machine::{Machine, Tool};
 use crate::plan::{Step, StepKind};
-use crate::toolpath::{Leg, motion_s};
+use crate::toolpath::{Cells, Leg, motion_s};
 use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
 

@@ -46,6 +46,11 @@ impl End {
         }
     }
 
+    /// Radius of the rounding, which is the height of the end; 0 for a flat one.
+    pub fn rounding(&self) -> f64 {
+        self.torus().1
+    }
+
     /// (radius of the flat part, radius of the rounding): a ball has none of the first, a flat
     /// end none of the second.
     fn torus(&self) -> (f64, f64) {
@@ -72,7 +77,7 @@ impl End {
     }
 
     /// Height of the end's surface over the tip at a distance from the axis, within the radius.
-    fn lower(&self, rho: f64) -> f64 {
+    pub(super) fn lower(&self, rho: f64) -> f64 {
         let (flat, round) = self.torus();
         let over = (rho - flat).max(0.0);
         round - (round * round - over * over).max(0.0).sqrt()

@@ -3,8 +3,8 @@
 //! Method: of the output state's surface, what lies on M* is taken from M*'s triangles and what lies
 //! outside M* on M from M's; triangles that only partly stand are divided until their pieces do or
 //! do not. The end of the cutter rests on those by drop-cutter. Faces that cuts leave inside M
-//! have no triangles: there the voxels are the obstacle, with their margin. Shank and holder are
-//! held against the voxels alone.
+//! have no triangles: there the voxels are the obstacle, with their margin; so are they, without one,
+//! where material stands that later steps cut. Shank and holder are held against the voxels alone.
 //!
 //! Guarantees: over a surface of M or M* that stands, the tip is exact to rounding at every cell of
 //! the lattice. Not guaranteed: within a voxel of the rim between two surfaces.
@@ -15,7 +15,7 @@ use super::mill::{Free, Work};
 use super::near::NEAR_PITCH;
 use crate::base::{Cancelled, DVec2, DVec3};
 use crate::mesh::TriMesh;
-use crate::voxel::BitGrid;
+use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
 
 /// Pieces with shorter sides, in pitches, are judged by their corners and middle.
@@ -28,21 +28,28 @@ pub(super) struct Exact {
     resting: Image,
     /// What rests higher than this does not stand.
     bound: Image,
-    /// Obstacles that no mesh stands for, with pedestal and table.
-    rest: Image,
+    /// Obstacles that no mesh stands for: faces that cuts leave inside the target, with pedestal and
+    /// table.
+    faces: Image,
+    /// The same of material outside the target, which goes later: there is no surface to keep.
+    passing: Image,
+    /// Half a pitch, mm.
+    half: f64,
 }
 
 /// Lowest free tips at the lattice's cells.
 pub(super) struct Lowest {
     pub tips: Image,
-    /// What of it the voxels ask for, whatever the meshes do.
+    /// What of it shank and holder ask for.
     guard: Image,
+    /// How far the end keeps off faces that no mesh stands for, to the side and downward, mm.
+    margin: [f64; 2],
 }
 
 impl Lowest {
     /// Of voxels alone.
     pub fn of_voxels(tips: Image) -> Lowest {
-        Lowest { guard: Image::empty(tips.lattice), tips }
+        Lowest { guard: Image::empty(tips.lattice), tips, margin: [0.0; 2] }
     }
 }
 
@@ -63,12 +70,14 @@ impl Exact {
         let near = lattice.origin - margin;
         let within = |p: DVec2| p.cmpge(near).all() && p.cmple(far).all();
         let mut triangles = Vec::new();
-        for (mesh, solid) in meshes.iter().zip(&stands) {
-            triangles.extend(standing(mesh, solid, work, near, far));
+        let outside = work.job.initial.minus(&work.job.target);
+        let wholes = [&work.job.target, &outside];
+        for ((mesh, solid), whole) in meshes.iter().zip(&stands).zip(wholes) {
+            triangles.extend(standing(mesh, [solid, whole], work, [near, far]));
         }
         let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
         let plane = lattice.plane;
-        let bare: Vec<DVec3> = shell
+        let bare: Vec<([usize; 3], DVec3)> = shell
             .par_iter()
             .map(|v| (*v, work.frame.center(*v)))
             .filter(|(_, p)| within(plane.across(*p)))
@@ -76,11 +85,14 @@ impl Exact {
                 let side = usize::from(!work.job.target.get(*v));
                 !work.surfaces[side].get(*v)
             })
-            .map(|(_, p)| p)
             .collect();
-        let mut rest = free.empty();
-        for p in bare.iter().chain(work.fixed) {
-            rest.raise(*p);
+        let (mut faces, mut passing) = (free.empty(), free.empty());
+        for (v, p) in &bare {
+            let image = if work.job.target.get(*v) { &mut faces } else { &mut passing };
+            image.raise(*p);
+        }
+        for p in work.fixed {
+            faces.raise(*p);
         }
         let drop = DropCutter::new(triangles, end.radius());
         let mut resting = Image::empty(lattice);
@@ -98,7 +110,11 @@ impl Exact {
         // No point of the surface is farther from its voxel.
         let far = NEAR_PITCH * h + lattice.s;
         let bound = free.heights(work.tool, far, far, work.ctx)?;
-        Ok(Some(Exact { end, drop, resting, bound, rest }))
+        Ok(Some(Exact { end, drop, resting, bound, faces, passing, half: h / 2.0 }))
+    }
+
+    pub fn end(&self) -> End {
+        self.end
     }
 
     /// Lowest free tips: the end over the meshes, the rest of the tool over the voxels; with the
@@ -115,11 +131,11 @@ impl Exact {
         let (edge, s) = (tool.active_radius(), free.window.s);
         let upper = |rho: f64| if rho <= edge { f64::INFINITY } else { tool.lower_surface(rho) };
         let holder = Profile::new(upper, tool.max_radius(), s, side, down);
-        let mut guard = free.dilated(&holder, work.ctx)?;
-        self.bare(work, free, [side, down], &mut guard)?;
+        let guard = free.dilated(&holder, work.ctx)?;
         let mut tips = guard.clone();
+        self.bare(work, free, [side, down], &mut tips)?;
         self.rest_on(over, &mut tips);
-        Ok(Lowest { tips, guard })
+        Ok(Lowest { tips, guard, margin: [side, down] })
     }
 
     /// Lowest free tips where `whole` are those of the whole tool, grown, over the voxels: shank and
@@ -136,19 +152,50 @@ impl Exact {
         Ok(whole)
     }
 
+    /// Obstacles that no mesh stands for, and what an end grown by `margin` keeps off them: of what
+    /// passes only the centres have to stay, which are half a pitch inside.
+    fn bare_with(&self, half: f64, margin: [f64; 2]) -> [(&Image, [f64; 2]); 2] {
+        [(&self.faces, margin), (&self.passing, margin.map(|m| (m - half).max(0.0)))]
+    }
+
     /// Raises tips to where the grown end is free of obstacles that no mesh stands for.
     fn bare(
         &self,
         work: &Work,
         free: &Free,
-        [side, down]: [f64; 2],
+        margin: [f64; 2],
         tips: &mut Image,
     ) -> Result<(), Cancelled> {
         let (edge, s) = (work.tool.active_radius(), free.window.s);
-        let end = Profile::new(|rho| work.tool.active_lower_surface(rho), edge, s, side, down);
-        let bare = end.dilate(&self.rest, free.window, free.highest(), work.ctx)?;
-        tips.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
+        for (obstacles, [side, down]) in self.bare_with(self.half, margin) {
+            let end = Profile::new(|rho| work.tool.active_lower_surface(rho), edge, s, side, down);
+            let bare = end.dilate(obstacles, free.window, free.highest(), work.ctx)?;
+            tips.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
+        }
         Ok(())
+    }
+
+    /// Lowest tip anywhere at which the grown end is free of obstacles that no mesh stands for.
+    fn past(&self, at: DVec2, margin: [f64; 2]) -> f64 {
+        let mut lowest = f64::NEG_INFINITY;
+        for (image, [side, down]) in self.bare_with(self.half, margin) {
+            let (l, radius) = (image.lattice, self.end.radius() - TOUCHING_MM);
+            let (low, high) =
+                ((at - radius - side - l.origin) / l.s, (at + radius + side - l.origin) / l.s);
+            let range = |low: f64, high: f64, n: usize| {
+                low.ceil().max(0.0) as usize..((high + 1.0).floor().max(0.0) as usize).min(n)
+            };
+            for j in range(low.y, high.y, l.n[1]) {
+                for i in range(low.x, high.x, l.n[0]) {
+                    let top = image.at([i, j]) + down;
+                    let rho = || (l.uv([i, j]).distance(at) - side).max(0.0);
+                    if top > lowest && rho() < radius {
+                        lowest = lowest.max(top - self.end.lower(rho()));
+                    }
+                }
+            }
+        }
+        lowest
     }
 
     /// Raises tips to `over` above where the end rests on the meshes.
@@ -176,7 +223,7 @@ impl Exact {
             }
         }
         let resting = self.drop.height(self.end, at).unwrap_or(f64::NEG_INFINITY);
-        guard.max(resting.min(bound))
+        guard.max(resting.min(bound)).max(self.past(at, of.margin))
     }
 
     /// Moves a tip at height `z` from the cell `c` aside, by less than a cell, until it meets the
@@ -220,6 +267,9 @@ impl Exact {
 /// How much nearer than a cell's centre two positions are one, in cells.
 const ON_CELL: f64 = 1e-6;
 
+/// An edge so near a point touches it and does not cut it, mm.
+const TOUCHING_MM: f64 = 1e-6;
+
 /// Sum of the unit vectors to the steep cells around below which they lie on either side.
 const LEAST_PULL: f64 = 0.5;
 
@@ -247,14 +297,30 @@ fn farthest(by: DVec2, way: DVec2, clear: &dyn Fn(DVec2) -> bool) -> DVec2 {
     by + way * low
 }
 
-/// Pieces of a mesh on whose inner side `solid` has material, as (u, v, height), over a box of
-/// (u, v).
+/// Whether voxels lost what is behind a point of a surface, as they do along edges sharper than they
+/// are wide: around the point some of the `whole` stands and none of it is gone.
+fn lost(p: DVec3, frame: &Frame, solid: &BitGrid, whole: &BitGrid) -> bool {
+    let Some(v) = frame.voxel_at(p) else { return false };
+    let mut stands = false;
+    for by in (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]) {
+        let at: [i64; 3] = std::array::from_fn(|k| v[k] as i64 + by[k]);
+        if whole.get_or_empty(at) {
+            if !solid.get_or_empty(at) {
+                return false;
+            }
+            stands = true;
+        }
+    }
+    stands
+}
+
+/// Pieces of a mesh on whose inner side `solid`, what stands of the `whole`, has material, as (u, v,
+/// height), over a box of (u, v).
 fn standing(
     mesh: &TriMesh,
-    solid: &BitGrid,
+    [solid, whole]: [&BitGrid; 2],
     work: &Work,
-    near: DVec2,
-    far: DVec2,
+    [near, far]: [DVec2; 2],
 ) -> Vec<[DVec3; 3]> {
     let plane = work.step.direction.image_plane();
     let h = work.frame.pitch;
@@ -272,8 +338,9 @@ fn standing(
             let half = normal * (h / 2.0);
             // Either side: single triangles may face the wrong way.
             let stands = |p: DVec3| {
-                let solid = |q: DVec3| work.frame.voxel_at(q).is_some_and(|v| solid.get(v));
-                solid(p - half) || solid(p + half)
+                let sides = [p - half, p + half].map(|q| work.frame.voxel_at(q));
+                let of = |grid: &BitGrid| sides.iter().flatten().any(|v| grid.get(*v));
+                of(solid) || (!of(whole) && lost(p, work.frame, solid, whole))
             };
             let mut out = Vec::new();
             divide(&corners, JUDGED_PITCH * h, h, &stands, &mut out);

@@ -19,6 +19,7 @@ use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
+use super::touch::Touch;
 use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
@@ -50,6 +51,10 @@ const NICK_MM: f64 = 0.045;
 /// has no lower bound.
 const LEAST_STEP_SHARE: f64 = 0.1;
 
+/// How much lower than the lowest free tip a way from cell to cell may pass, mm: below
+/// a wall's edge that is far exceeded, over a slope hardly ever, and less than half of what counts as a gouge.
+const CORNER_MM: f64 = 0.02;
+
 /// What a step works on.
 pub(super) struct Work<'a> {
     pub job: &'a Job,
@@ -78,6 +83,7 @@ pub(super) fn mill(work: &Work, process: &Milling) -> Result<Milled, Cancelled> 
     stage.rough()?;
     stage.finish()?;
     let covered = stage.rest()?;
+    stage.touch_up()?;
     let safe_height = stage.safe;
     let moves = stage.moves;
     let figures = Figures { coverage: covered, ..Figures::default() };
@@ -551,6 +557,43 @@ impl<'a> Stage<'a> {
         self.noted = self.moves.len();
     }
 
+    /// Goes to points of the target's surface that the passes left too far off.
+    fn touch_up(&mut self) -> Result<(), Cancelled> {
+        let Some(exact) = &self.meshes else { return Ok(()) };
+        let plane = self.lattice.plane;
+        let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
+        let cuts = self.moves.windows(2).filter(|w| w[1].kind == MoveKind::Cut);
+        let cuts = cuts.map(|w| [turned(w[0].tip), turned(w[1].tip)]).collect();
+        let (work, lowest, stock) = (self.work, &self.fine, self.process.stock);
+        let ways = Touch { work, exact, lowest, stock }.ways(cuts)?;
+        for way in ways {
+            for (k, tip) in way.iter().enumerate() {
+                let Some(cell) = self.lattice.cell(tip.truncate()) else { continue };
+                let aside = tip.truncate() - self.lattice.uv(cell);
+                if k == 0 {
+                    self.go(MoveKind::Rapid, cell, aside, self.safe, 0.0);
+                    let near = (self.highest_around(cell) + CLEARANCE_MM).max(tip.z);
+                    if near < self.safe {
+                        self.go(MoveKind::Approach, cell, aside, near, self.process.approach_feed);
+                    }
+                }
+                let feed = if k == 0 { self.process.plunge_feed } else { self.process.feed };
+                self.go(MoveKind::Cut, cell, aside, tip.z, feed);
+            }
+            self.retract();
+        }
+        Ok(())
+    }
+
+    /// Height at which a tip within a cell of this one meets material.
+    fn highest_around(&self, cell: Cell) -> f64 {
+        let [nu, nv] = self.lattice.n;
+        let around = |x: usize, n: usize| x.saturating_sub(1)..(x + 2).min(n);
+        let cells = around(cell[1], nv).flat_map(|j| around(cell[0], nu).map(move |i| [i, j]));
+        let over = cells.map(|c| self.stock.over(self.lattice.index(c)));
+        f64::from(over.fold(f32::NEG_INFINITY, f32::max))
+    }
+
     /// Contour-parallel passes over a set of cells.
     fn passes(
         &mut self,
@@ -676,7 +719,27 @@ impl<'a> Stage<'a> {
             Some(m) if self.to_walls => m.aside(cell, z, &self.fine),
             _ => (DVec2::ZERO, z),
         };
+        if self.cuts_a_corner(cell, aside, z)
+            && let Some((from, high)) = self.at
+        {
+            let high = high.max(z);
+            self.go(MoveKind::Cut, from, DVec2::ZERO, high, feed);
+            self.go(MoveKind::Cut, cell, DVec2::ZERO, high, feed);
+        }
         self.go(MoveKind::Cut, cell, aside, z, feed);
+    }
+
+    /// Whether the tip, on its straight way from one wall to another, would pass through the edge
+    /// between them.
+    fn cuts_a_corner(&self, to: Cell, aside: DVec2, z: f64) -> bool {
+        let (Some(meshes), Some((from, z0))) = (&self.meshes, self.at) else { return false };
+        if !self.to_walls || (aside == DVec2::ZERO && self.aside == DVec2::ZERO) {
+            return false;
+        }
+        let (a, b) = (self.lattice.uv(from) + self.aside, self.lattice.uv(to) + aside);
+        [0.25, 0.5, 0.75]
+            .into_iter()
+            .any(|t| meshes.lowest(a.lerp(b, t), &self.fine) > z0 + t * (z - z0) + CORNER_MM)
     }
 
     /// To a cell's middle; straight up from where the tip stands aside of it.

@@ -9,6 +9,7 @@
 //! the same plan gives the same paths at any thread count. Not guaranteed: machine limits, which
 //! the post checks; surfaces finer than the voxels.
 
+mod cells;
 mod comb;
 mod contour;
 mod cross;
@@ -28,14 +29,19 @@ mod ramp;
 mod rowmax;
 mod slice;
 mod specks;
+mod swept;
 mod timing;
+mod touch;
 #[cfg(test)]
 pub(crate) mod tests;
 
+pub(crate) use cells::Cells;
 pub use drop::{DropCutter, End};
 pub use moves::{Figures, Move, MoveKind, Toolpath};
 pub use print::{CHORD_MM, INSET_SLACK};
+pub(crate) use swept::Swept;
 pub use timing::{Leg, motion_s, rest_to_rest};
+pub(crate) use touch::facets;
 
 use crate::base::{Cancelled, Ctx, DVec3};
 use crate::machine::{BaseKind, Holding, Tool};

@@ -2,7 +2,7 @@ use crate::base::DVec2;
 
 /// Square cells over a box of (u, v).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Cells {
+pub(crate) struct Cells {
     pub origin: DVec2,
     /// Side, mm.
     pub side: f64,
