@@ -234,7 +234,7 @@ fn supports_that_can_be_cleared_are_cut_again() {
     let dims = [24, 12, 14];
     let target = BitGrid::from_fn(dims, |[x, y, z]| {
         let pit = (3..8).contains(&x) && (3..9).contains(&y) && (3..9).contains(&z);
-        x < 11 && !pit || z < 2 || z >= 10
+        x < 11 && !pit || !(2..10).contains(&z)
     });
     let mut job = job(BitGrid::new(dims), target.clone());
     job.cutters.remove(0);
