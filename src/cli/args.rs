@@ -147,7 +147,8 @@ pub struct PlanArgs {
     #[arg(long, default_value = "7", value_name = "7|24", value_parser = ["7", "24"], help_heading = "Search")]
     pub rotations: String,
     /// Overhang that carries itself in planner search, degrees; below 45 only columns do
-    #[arg(long, default_value_t = 45.0, value_name = "DEG", value_parser = not_negative, help_heading = "Search")]
+    #[arg(long, default_value_t = hmplan::base::tolerance::OVERHANG_DEG, value_name = "DEG",
+          value_parser = not_negative, help_heading = "Search")]
     pub overhang: f64,
     /// Let the lower bound of planner search count what must be sacrificed
     #[arg(long, help_heading = "Search")]

@@ -4,8 +4,8 @@
 //! the target in the initial part, which stays as it stands or, on request, is laid on another of
 //! its faces. The best placement is planned. Asked for so many candidates, that many are planned in
 //! full and the best plan is kept. Where planner search begins with nothing, the candidates are the six
-//! ways of putting the target on the table, its file's first; they are planned until a search ends within
-//! δ of the target. Asked for none in particular, the others have a say only where the
+//! ways of putting the target on the table, its file's first; those from which a first over-fill misses
+//! most come last. They are planned until a search ends within δ of the target. Asked for none in particular, the others have a say only where the
 //! plan of the first keeps little of what both parts have in common there: each is then looked at on a
 //! coarse grid, and of those that promise more, the most promising first, at most two are planned as
 //! well, until one keeps enough.
@@ -23,8 +23,8 @@ use hmplan::base::{Ctx, DAffine3, DVec3};
 use hmplan::machine::{Holding, Taken, Tool};
 use hmplan::mesh::TriMesh;
 use hmplan::plan::{Inputs, Job, Rules, end_state};
-use hmplan::planner::reman;
 use hmplan::planner::setup::Candidate;
+use hmplan::planner::{hybrid, reman};
 
 /// A plan that keeps this share of what both parts have in common at its place is not compared with
 /// those of other placements: that would take twice as long. Of the twelve
@@ -216,7 +216,7 @@ impl Placing<'_> {
     fn best_way_up(&mut self, places: &[Place]) -> Result<Made, Failure> {
         let mut best: Option<(Made, String)> = None;
         let mut others = Vec::new();
-        for place in places {
+        for place in self.most_promising_first(places) {
             if best.is_some() && self.ctx.out_of_time() {
                 others.push("no time for the rest".to_string());
                 break;
@@ -253,6 +253,24 @@ impl Placing<'_> {
             ));
         }
         Ok(best)
+    }
+
+    /// The places by what a first over-fill from there misses; within δ all are as good. Those that
+    /// cannot be prepared keep their turn, to be complained of.
+    fn most_promising_first<'p>(&mut self, places: &'p [Place]) -> Vec<&'p Place> {
+        let Placing { parts, config, ctx, clock } = self;
+        let Some(options) = &config.search else { return places.iter().collect() };
+        let mut misses = |place: &Place| {
+            let prepared = prepare(parts, &place.motion, config, ctx, clock).ok()?;
+            let job = &prepared.job;
+            let missed = clock.time("search", || hybrid::glance(job, options, ctx)).ok()?;
+            let enough = options.delta * job.target.count() as f64 * job.frame.voxel_volume();
+            Some(if missed <= enough { 0.0 } else { missed })
+        };
+        let mut known: Vec<(f64, &Place)> =
+            places.iter().map(|p| (misses(p).unwrap_or(0.0), p)).collect();
+        known.sort_by(|a, b| a.0.total_cmp(&b.0));
+        known.into_iter().map(|(_, place)| place).collect()
     }
 
     /// How a plan may stand with the target at a place.

@@ -104,8 +104,8 @@ pub struct IdaOptions {
     /// States whose successors are asked for at most.
     pub most_expanded: usize,
     /// States expanded in a branch of the start without coming nearer, before the next branch has
-    /// its turn; the rest of the branch waits for the next round. None searches each branch to its
-    /// end, as a cheapest path asks for.
+    /// its turn, however high its estimate; the rest of the branch waits for the next round. None
+    /// searches each branch to its end, as a cheapest path asks for.
     pub branch_patience: Option<usize>,
 }
 
@@ -211,7 +211,11 @@ pub fn ida<W: World>(
         let before = search.expanded;
         match search.round(start)? {
             Some(ending) => break ending,
-            None if search.next_limit < f64::INFINITY => search.limit = search.next_limit,
+            None if search.next_limit < f64::INFINITY => {
+                // One that was left waits for the next that has not had its turn.
+                let turn = search.branch.next.filter(|_| search.branch.left);
+                search.limit = turn.unwrap_or(search.next_limit);
+            }
             // Something waits for this round, unless nothing new was found in the last one.
             None if search.branch.left && search.expanded > before => {}
             None => break Ending::Exhausted,
@@ -264,6 +268,8 @@ struct Branch {
     since: usize,
     /// Whether any branch was left early in this round.
     left: bool,
+    /// The least f of a branch beyond the limit of this round.
+    next: Option<f64>,
 }
 
 struct Best<A> {
@@ -359,6 +365,7 @@ impl<W: World> Search<'_, W> {
                 self.branch.shortfall = f64::INFINITY;
                 self.branch.since = self.expanded;
             }
+            let at_start = path.len() == 1;
             let Some(level) = path.last_mut() else { break };
             let Some((f, way)) = level.left.pop() else {
                 path.pop();
@@ -367,6 +374,9 @@ impl<W: World> Search<'_, W> {
             let (node, paid) = (level.node, level.paid);
             if self.exceeds(f) {
                 self.next_limit = self.next_limit.min(f);
+                if at_start {
+                    self.branch.next = Some(self.branch.next.map_or(f, |next| next.min(f)));
+                }
                 continue;
             }
             let ways = self.nodes[node].ways.as_ref().map_or(&[][..], |w| &w[..]);

@@ -4,11 +4,14 @@
 //! else is gone, and takes back what the rest blocks; each round is a depth image, the tool's two
 //! grey-scale morphologies on it and one comparison a voxel.
 
-use super::site::Site;
+use super::site::{Site, View};
 use crate::access::{Scene, cutter_map, reachable};
 use crate::base::Direction;
 use crate::machine::Tool;
+use crate::morph::complement;
+use crate::plan::Job;
 use crate::voxel::BitGrid;
+use rayon::prelude::*;
 
 /// An over-cut, in turned coordinates.
 pub struct OverCut {
@@ -39,4 +42,20 @@ pub fn reached(site: &Site, standing: &BitGrid, wanted: &BitGrid, tool: &Tool) -
     let frame = &site.view.frame;
     let scene = Scene::from_above(frame, standing, &site.fixed);
     reachable(&cutter_map(&scene, wanted, tool, Direction::Z), wanted, frame)
+}
+
+/// What of P's surroundings some cutter reaches along some direction while all of P stands, in the
+/// job's coordinates: what is laid there can be taken away again, mostly.
+pub fn clearable(job: &Job, views: &[View]) -> BitGrid {
+    let around = complement(&job.target);
+    let along = |view: &View| {
+        let (site, around) = (view.site(job, &job.target), view.up(&around));
+        let mut clear = BitGrid::new(around.dims());
+        for tool in &job.cutters {
+            clear.union_with(&reached(&site, &site.state, &around, tool));
+        }
+        view.down(&clear)
+    };
+    let none = || BitGrid::new(job.target.dims());
+    views.par_iter().map(along).reduce(none, |a, b| a.or(&b))
 }

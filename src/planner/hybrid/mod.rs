@@ -26,8 +26,11 @@
 //! - Of the seven relative rotations two end in a direction that others end in as well, and no tool
 //!   of revolution tells them apart: five directions a step, six with all 24.
 //! - An under-cut is not made before a lower bound of its cost lets it pass.
-//! - Overhangs up to 45° carry themselves unless [`Options::overhang_deg`] says otherwise; the
-//!   paper has columns.
+//! - Overhangs carry themselves up to the angle of the rules unless [`Options::overhang_deg`] says
+//!   less; the paper has columns.
+//! - There are two over-fills: the paper's, and one that stands on nothing but what a cutter can
+//!   take away again (`cutting::clearable`). What needs other supports it leaves out, where the
+//!   paper's leaves supports behind in cavities that no tool looks into.
 //! - The goal test (Eq. 38) does not count skin: the rules of a plan do not either. What of it can
 //!   be reached is cut and filled after the goal, as long as that is worth a step.
 //! - The cost of a plan charges what it leaves within δ, and skin, as if it were moved, which makes
@@ -38,6 +41,7 @@
 //! limits aside. Not guaranteed: that a goal is found where one exists; the notes say why a search
 //! ended.
 
+mod carry;
 mod cost;
 mod cutting;
 mod filling;
@@ -55,7 +59,7 @@ pub use shaped::{over_cut_by, under_cut_by};
 
 use crate::base::Ctx;
 use crate::machine::{BaseKind, Holding};
-use crate::plan::{Job, Origin, Plan, Step, StepKind};
+use crate::plan::{self, Job, Origin, Plan, Step, StepKind};
 use crate::planner::PlanError;
 use crate::search::{Ending, IdaOptions, Status, World, ida};
 use world::{Action, Shop};
@@ -111,7 +115,7 @@ impl Default for Options {
             delta: crate::base::tolerance::DEVIATION,
             most_steps: 10,
             rotations: Rotations::Seven,
-            overhang_deg: 45.0,
+            overhang_deg: crate::base::tolerance::OVERHANG_DEG,
             least_share: LEAST_SHARE * crate::base::tolerance::DEVIATION,
             tool_costs: Vec::new(),
             tight_bound: false,
@@ -234,6 +238,26 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         notes,
     };
     Ok((plan, report))
+}
+
+/// What of the target, mm³, no over-fill of the start lays on supports that can be cleared again:
+/// a hint at how near a plan gets from there, for the price of one step.
+///
+/// # Errors
+/// The user's wish to stop.
+pub fn glance(job: &Job, options: &Options, ctx: &Ctx) -> Result<f64, PlanError> {
+    let shop = Shop::new(job, options, ctx);
+    let missing = job.target.minus(&job.initial);
+    let mut least = missing.count();
+    for axis in shop.views().iter().map(|v| v.index) {
+        for tool in 0..job.nozzles.len() {
+            ctx.check()?;
+            let fill = Action { action: plan::Action::OF, tool, axis, clearable: true };
+            let laid = shop.apply(&job.initial, fill);
+            least = least.min(laid.map_or(least, |l| missing.minus(&l).count()));
+        }
+    }
+    Ok(least as f64 * job.frame.voxel_volume())
 }
 
 /// The actions of a path as steps, made again one after the other.

@@ -1,5 +1,6 @@
+use super::carry::Carry;
 use super::cutting::{over_cut, reached};
-use super::filling::{Carry, open, over_fill, stacked, under_fill};
+use super::filling::{open, over_fill, stacked, under_fill};
 use super::packed::Packed;
 use super::site::{AXES, Site, View, held};
 use super::undercut::{least_collateral, under_cut};
@@ -195,32 +196,61 @@ proptest! {
             let target = lift(&view.target);
             let under = u(&star.and(&target).or(&held), up, plate, none).minus(&held);
             let over = v(&star.and(&target).or(&held), up, plate, none).minus(&held);
-            assert_eq!(drop(&star), stacked(site, &found, Carry::Column), "A*");
-            assert_eq!(drop(&under), under_fill(site, &found, Carry::Column), "UF");
-            assert_eq!(drop(&over), over_fill(site, &found, Carry::Column), "OF");
+            assert_eq!(drop(&star), stacked(site, &found, &Carry::column()), "A*");
+            assert_eq!(drop(&under), under_fill(site, &found, &Carry::column()), "UF");
+            assert_eq!(drop(&over), over_fill(site, &found, &Carry::column()), "OF");
         });
     }
 
     /// With overhangs: more than columns, within A, all carried, and OF holds what UF does.
     #[test]
-    fn fills_that_lean_are_carried(a in any::<u64>(), b in any::<u64>(), empty in any::<bool>()) {
+    fn fills_that_lean_are_carried(
+        a in any::<u64>(), b in any::<u64>(), empty in any::<bool>(), lean in 45.0f64..60.0,
+    ) {
         let dims = [12, 11, 9];
         let target = noise(dims, b, 4);
         let state = if empty { BitGrid::new(dims) } else { blocky(dims, a) };
         let job = job(state.clone(), target);
         sites(&job, &state, |view, site| {
             let open = open(site, &job.nozzles[0], 0.0);
-            let star = stacked(site, &open, Carry::Cone);
-            let under = under_fill(site, &open, Carry::Cone);
-            let over = over_fill(site, &open, Carry::Cone);
-            assert!(under_fill(site, &open, Carry::Column).is_subset_of(&under));
+            let carry = Carry::within(lean);
+            let star = stacked(site, &open, &carry);
+            let under = under_fill(site, &open, &carry);
+            let over = over_fill(site, &open, &carry);
+            assert!(under_fill(site, &open, &Carry::column()).is_subset_of(&under));
             assert!(under.is_subset_of(&over) && over.is_subset_of(&star));
             assert!(star.and(&view.target).is_subset_of(&over));
             for fill in [&under, &over] {
-                assert_eq!(&stacked(site, fill, Carry::Cone), fill, "{:?}", view.direction);
+                assert_eq!(&stacked(site, fill, &carry), fill, "{:?}", view.direction);
             }
         });
     }
+}
+
+/// A shelf over the floor and a lidded pit: what stands under the shelf is cut again, what would stand
+/// in the pit is not.
+#[test]
+fn supports_that_can_be_cleared_are_cut_again() {
+    let dims = [24, 12, 14];
+    let target = BitGrid::from_fn(dims, |[x, y, z]| {
+        let pit = (3..8).contains(&x) && (3..9).contains(&y) && (3..9).contains(&z);
+        x < 11 && !pit || !(2..10).contains(&z)
+    });
+    let mut job = job(BitGrid::new(dims), target.clone());
+    job.cutters.remove(0);
+    let ctx = Ctx::quiet();
+    let shop = Shop::new(&job, &Options { overhang_deg: 0.0, ..exact() }, &ctx);
+    let fill = |clearable| {
+        let action = Action { action: plan::Action::OF, tool: 0, axis: 0, clearable };
+        shop.apply(&job.initial, action).unwrap()
+    };
+    let (all, clear) = (fill(false), fill(true));
+    assert!(target.is_subset_of(&all) && clear.is_subset_of(&all));
+    // The lid of the pit is missing, and nothing else.
+    let lid = |[x, y, z]: [usize; 3]| (3..8).contains(&x) && (3..9).contains(&y) && z >= 9;
+    assert_eq!(target.minus(&clear), BitGrid::from_fn(dims, lid));
+    let cut = Action { action: plan::Action::OC, tool: 0, axis: 1, clearable: false };
+    assert_eq!(clear.minus(&shop.apply(&clear, cut).unwrap()), target.and(&clear));
 }
 
 /// A slit under a shelf: the greedy cover shares its contacts.
@@ -405,8 +435,16 @@ fn every_action_of_a_state_verifies() {
             let mut tried = 0;
             for axis in 0..AXES.len() {
                 use plan::Action::{OC, OF, UC, UF};
-                for (action, tool) in [(OC, 0), (OC, 1), (UC, 0), (UC, 1), (UF, 0), (OF, 0)] {
-                    let plan = super::steps(&shop, &[Action { action, tool, axis }]);
+                for (action, tool, clearable) in [
+                    (OC, 0, false),
+                    (OC, 1, false),
+                    (UC, 0, false),
+                    (UC, 1, false),
+                    (UF, 0, false),
+                    (OF, 0, false),
+                    (OF, 0, true),
+                ] {
+                    let plan = super::steps(&shop, &[Action { action, tool, axis, clearable }]);
                     if plan.steps.is_empty() {
                         continue;
                     }

@@ -1,9 +1,10 @@
 //! The search space (HB Sec. 5): states, actions, and what follows from what.
 
 use super::Options;
+use super::carry::Carry;
 use super::cost::Costs;
-use super::cutting::over_cut;
-use super::filling::{Carry, open, over_fill, under_fill};
+use super::cutting::{clearable, over_cut};
+use super::filling::{open, over_fill, stacked, under_fill};
 use super::packed::Packed;
 use super::site::{AXES, Site, View, held};
 use super::undercut::{least_collateral, under_cut};
@@ -14,14 +15,11 @@ use crate::planner::reman::bridges::bridges;
 use crate::search::{Made, Successor, World};
 use crate::voxel::{BitGrid, distance_within};
 use rayon::prelude::*;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 
 /// A cut that frees pieces is made again with bridges to them so often.
 const BRIDGE_ROUNDS: usize = 4;
-
-/// Overhang from which deposits may lean, degrees.
-const CONE_DEG: f64 = 45.0;
 
 /// What is left of P₀ ∩ P, and the skin around it, where a goal may be off.
 #[derive(Debug)]
@@ -66,6 +64,8 @@ pub struct Action {
     pub action: plan::Action,
     pub tool: usize,
     pub axis: usize,
+    /// Of an over-fill: whether no support is laid but what a cutter can take away again.
+    pub clearable: bool,
 }
 
 impl Action {
@@ -83,6 +83,8 @@ pub struct Shop<'a> {
     pub costs: Costs,
     views: Vec<View>,
     carry: Carry,
+    /// What of P's surroundings a cutter clears along some direction while all of P stands.
+    clearable: OnceLock<BitGrid>,
     /// Seven relative rotations a step: the direction opposite to the last is none of them.
     relative: bool,
     /// Actions that move fewer voxels are none.
@@ -94,12 +96,12 @@ pub struct Shop<'a> {
 impl<'a> Shop<'a> {
     pub fn new(job: &'a Job, options: &Options, ctx: &'a Ctx) -> Shop<'a> {
         let least = (options.least_share * job.target.count() as f64).ceil() as usize;
-        let cone = options.overhang_deg.min(job.rules.overhang_deg) >= CONE_DEG;
         Shop {
             job,
             costs: Costs::new(job, options),
             views: View::all(job),
-            carry: if cone { Carry::Cone } else { Carry::Column },
+            carry: Carry::within(options.overhang_deg.min(job.rules.overhang_deg)),
+            clearable: OnceLock::new(),
             relative: options.rotations == super::Rotations::Seven,
             least: least.max(1),
             bytes: AtomicUsize::new(0),
@@ -206,7 +208,10 @@ impl<'a> Shop<'a> {
             }
             plan::Action::UF | plan::Action::OF => {
                 let tool = self.job.nozzles.get(action.tool)?;
-                let open = open(&site, tool, self.job.rules.nozzle_dip_mm);
+                let mut open = open(&site, tool, self.job.rules.nozzle_dip_mm);
+                if action.clearable {
+                    open = self.clear_again(&site, &open);
+                }
                 self.filled(solid, &site, &open, action.action)
             }
         };
@@ -238,7 +243,7 @@ impl<'a> Shop<'a> {
         (!loose.is_empty()).then(|| bridges(&steady, &loose, region))
     }
 
-    /// A fill in the job's coordinates, less what would stand apart.
+    /// A fill in the job's coordinates, less what would stand apart and what that carried.
     fn filled(
         &self,
         solid: &BitGrid,
@@ -246,19 +251,31 @@ impl<'a> Shop<'a> {
         open: &BitGrid,
         action: plan::Action,
     ) -> BitGrid {
-        let region = match action {
-            plan::Action::OF => over_fill(site, open, self.carry),
-            _ => under_fill(site, open, self.carry),
+        let mut region = match action {
+            plan::Action::OF => over_fill(site, open, &self.carry),
+            _ => under_fill(site, open, &self.carry),
         };
-        let region = site.view.down(&region);
-        held(self.job, &solid.or(&region)).and(&region)
+        loop {
+            let laid = site.view.down(&region);
+            let steady = held(self.job, &solid.or(&laid)).and(&laid);
+            if steady == laid {
+                return laid;
+            }
+            region = stacked(site, &site.view.up(&steady), &self.carry);
+        }
+    }
+
+    /// What of `open` is P or can be cleared again.
+    fn clear_again(&self, site: &Site, open: &BitGrid) -> BitGrid {
+        let clearable = self.clearable.get_or_init(|| clearable(self.job, &self.views));
+        open.and(&site.view.target.or(&site.view.up(clearable)))
     }
 
     /// Everything that can be done along one direction.
     fn along(&self, view: &View, solid: &BitGrid, of: &State) -> Vec<Successor<State, Action>> {
         let mut out = Vec::new();
         let site = view.site(self.job, solid);
-        let doing = |action, tool| Action { action, tool, axis: view.index };
+        let doing = |action, tool| Action { action, tool, axis: view.index, clearable: false };
         // A part of the target is added to; one that holds it is cut.
         if of.excess > 0 {
             let excess = site.state.minus(&view.target);
@@ -280,8 +297,18 @@ impl<'a> Shop<'a> {
                 let under = self.filled(solid, &site, &open, plan::Action::UF);
                 let over = self.filled(solid, &site, &open, plan::Action::OF);
                 out.extend(self.made(doing(plan::Action::UF, n), (of, solid), &under));
-                if over != under {
-                    out.extend(self.made(doing(plan::Action::OF, n), (of, solid), &over));
+                if over == under {
+                    continue;
+                }
+                out.extend(self.made(doing(plan::Action::OF, n), (of, solid), &over));
+                if self.job.cutters.is_empty() {
+                    continue;
+                }
+                let open = self.clear_again(&site, &open);
+                let clear = self.filled(solid, &site, &open, plan::Action::OF);
+                if clear != over && clear != under {
+                    let action = Action { clearable: true, ..doing(plan::Action::OF, n) };
+                    out.extend(self.made(action, (of, solid), &clear));
                 }
             }
         }

@@ -7,47 +7,87 @@
 //! Not guaranteed: that a bridge bears a load, or that a later cut reaches it; what stands at the
 //! end is residual like any other.
 
-use crate::voxel::{BitGrid, Connectivity, components};
+use crate::voxel::{BitGrid, Components, Connectivity, components};
 use std::collections::VecDeque;
 
-/// Face neighbours: axis and step.
-const FACES: [(usize, isize); 6] = [(0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)];
+/// Neighbours by which a part hangs together (rule `stability`): the faces first, then the edges.
+const NEIGHBOURS: [[isize; 3]; 18] = [
+    [1, 0, 0],
+    [-1, 0, 0],
+    [0, 1, 0],
+    [0, -1, 0],
+    [0, 0, 1],
+    [0, 0, -1],
+    [1, 1, 0],
+    [1, -1, 0],
+    [-1, 1, 0],
+    [-1, -1, 0],
+    [1, 0, 1],
+    [1, 0, -1],
+    [-1, 0, 1],
+    [-1, 0, -1],
+    [0, 1, 1],
+    [0, 1, -1],
+    [0, -1, 1],
+    [0, -1, -1],
+];
 
-/// Marks of the search: not seen, held, or 2 + the face by which a voxel was entered.
+/// How many of them are faces.
+const FACES: usize = 6;
+
+/// Marks of the search: not seen, held, or 2 + the neighbour by which a voxel was entered.
 const UNSEEN: u8 = 0;
 const HELD: u8 = 1;
 
-/// The voxels of `cut` to leave so that every piece of `loose` hangs on `held`; none where no way
-/// through `cut` leads to it.
+/// The voxels of `cut` to leave so that every piece of `loose` hangs on `held`, over faces where that
+/// can be; none where no way through `cut` leads to it.
 pub fn bridges(held: &BitGrid, loose: &BitGrid, cut: &BitGrid) -> BitGrid {
-    let dims = held.dims();
-    let at = |v: [usize; 3]| v[0] + dims[0] * (v[1] + dims[1] * v[2]);
-    let mut marks = vec![UNSEEN; dims.iter().product()];
-    let mut front: VecDeque<[usize; 3]> = VecDeque::new();
-    for v in held.iter_ones() {
-        marks[at(v)] = HELD;
-        front.push_back(v);
-    }
-    let mut ways = BitGrid::new(dims);
     // The first way to a piece does for all of it.
     let pieces = components(loose, Connectivity::Edge18);
     let mut hangs = vec![false; pieces.count()];
+    let mut ways = BitGrid::new(held.dims());
+    for neighbours in [&NEIGHBOURS[..FACES], &NEIGHBOURS[..]] {
+        if !hangs.iter().all(|h| *h) {
+            hang(neighbours, (held, loose, cut), &pieces, &mut hangs, &mut ways);
+        }
+    }
+    ways.grown().and(cut)
+}
+
+/// Marks the shortest ways over some neighbours to the pieces that do not hang yet.
+fn hang(
+    neighbours: &[[isize; 3]],
+    (held, loose, cut): (&BitGrid, &BitGrid, &BitGrid),
+    pieces: &Components,
+    hangs: &mut [bool],
+    ways: &mut BitGrid,
+) {
+    let dims = held.dims();
+    let at = |v: [usize; 3]| v[0] + dims[0] * (v[1] + dims[1] * v[2]);
+    let mut marks = vec![UNSEEN; dims.iter().product()];
+    // Deep inside what is held no way begins.
+    let mut front: VecDeque<[usize; 3]> = held.and(&loose.or(cut).grown()).iter_ones().collect();
+    front.iter().for_each(|v| marks[at(*v)] = HELD);
+    let mut left = hangs.iter().filter(|h| !**h).count();
     while let Some(v) = front.pop_front() {
-        for (face, (axis, step)) in FACES.iter().enumerate() {
-            let Some(next) = stepped(v, *axis, *step, dims) else { continue };
+        if left == 0 {
+            break;
+        }
+        for (n, step) in neighbours.iter().enumerate() {
+            let Some(next) = stepped(v, *step, dims) else { continue };
             if marks[at(next)] != UNSEEN || !(loose.get(next) || cut.get(next)) {
                 continue;
             }
-            marks[at(next)] = 2 + face as u8;
+            marks[at(next)] = 2 + n as u8;
             front.push_back(next);
             if let Some(piece) = pieces.label_of(next)
                 && !std::mem::replace(&mut hangs[piece as usize], true)
             {
-                trace(&marks, next, dims, &mut ways);
+                trace(&marks, next, dims, ways);
+                left -= 1;
             }
         }
     }
-    ways.grown().and(cut)
 }
 
 /// Marks the way back from a voxel to what is held.
@@ -59,17 +99,18 @@ fn trace(marks: &[u8], from: [usize; 3], dims: [usize; 3], ways: &mut BitGrid) {
             return;
         }
         ways.set(v, true);
-        let (axis, step) = FACES[usize::from(mark - 2)];
-        match stepped(v, axis, -step, dims) {
+        match stepped(v, NEIGHBOURS[usize::from(mark - 2)].map(|c| -c), dims) {
             Some(back) => v = back,
             None => return,
         }
     }
 }
 
-fn stepped(v: [usize; 3], axis: usize, step: isize, dims: [usize; 3]) -> Option<[usize; 3]> {
+fn stepped(v: [usize; 3], step: [isize; 3], dims: [usize; 3]) -> Option<[usize; 3]> {
     let mut to = v;
-    to[axis] = v[axis].checked_add_signed(step).filter(|c| *c < dims[axis])?;
+    for a in 0..3 {
+        to[a] = v[a].checked_add_signed(step[a]).filter(|c| *c < dims[a])?;
+    }
     Some(to)
 }
 
@@ -91,6 +132,15 @@ mod tests {
         assert_eq!(flood(&standing, &held, Connectivity::Edge18), standing);
         // Straight down from either piece, three voxels wide, and not from every voxel of it.
         assert!(left.count() <= cut.count() / 3, "{} of {}", left.count(), cut.count());
+    }
+
+    #[test]
+    fn a_piece_that_no_face_leads_to_hangs_by_an_edge() {
+        let dims = [8, 4, 8];
+        let held = BitGrid::from_fn(dims, |[_, _, z]| z < 2);
+        let cut = BitGrid::from_fn(dims, |v| v == [3, 1, 2]);
+        let loose = BitGrid::from_fn(dims, |v| v == [4, 1, 3]);
+        assert_eq!(bridges(&held, &loose, &cut), cut);
     }
 
     #[test]
