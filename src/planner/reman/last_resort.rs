@@ -14,8 +14,9 @@
 //! leaves less. Not guaranteed: that nothing is left.
 
 use super::clip::Clip;
-use super::cutting::{Cuts, cut_blocks, within_reach};
+use super::cutting::{Cuts, cut_blocks};
 use super::printing::{OnSupports, Wanted, print_blocks, print_on_supports};
+use super::reach::within_reach;
 use super::reasons::open_below;
 use super::round::{Attempt, Mending, along, deep, printed, volumes};
 use super::{Options, Run, Start};
@@ -77,13 +78,16 @@ pub fn last_resort(
     let (clips, volumes) = (plain.clips.clone(), plain.volumes.clone());
     let under = UnderPlanes { clips, volumes };
     let finished = finished_stock(&plain);
+    let (_, added) = deep(&setting, &under.volumes);
     let mut known = on_supports.filter(|o| o.clips == plain.clips);
     let mut best = plain;
     for (waits, supports) in [(true, true), (false, false), (false, true)] {
         if best.residual() == 0 || run.ctx.out_of_time() {
             break;
         }
-        let unlike_before = if supports { run.options.supports } else { setting.has_last_resort() };
+        // What is not printed needs no supports.
+        let prints = run.options.supports && !added.is_empty();
+        let unlike_before = if supports { prints } else { setting.has_last_resort() };
         if !unlike_before || waits && under.clips.is_empty() {
             continue;
         }
