@@ -75,7 +75,9 @@ pub fn cut_blocks(
     if !alone && !cutter.cutting.unreached.is_empty() {
         cutter.cutters = setting.cutters();
         cutter.cut(samples, true, ctx)?;
-        cutter.cut_closely(samples, ctx)?;
+        if setting.cuts_closely() {
+            cutter.cut_closely(samples, ctx)?;
+        }
     }
     Ok(cutter.cutting)
 }
