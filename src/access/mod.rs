@@ -21,6 +21,7 @@ mod additive;
 mod allowance_tests;
 mod ceilings;
 mod cells;
+mod close_cut;
 mod collateral;
 mod columns;
 mod depend;
@@ -45,6 +46,7 @@ mod view;
 mod voxel_tool;
 
 pub use additive::{CarrierTable, supported};
+pub use close_cut::Close;
 pub use collateral::{Collateral, collateral};
 pub use depend::{CellSet, Cells, Demand, DependencyGraph, Reachers};
 pub use depth::{cutter_map, cutter_maps, nozzle_map};

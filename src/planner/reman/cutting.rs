@@ -11,7 +11,7 @@ use super::bridges::bridges;
 use super::coarse::Coarse;
 use super::reach::{Reach, bounds, bounds_along, choose, gains};
 use super::setting::Setting;
-use crate::access::{Cut, Scene, cutter_maps, over_cut, reachable};
+use crate::access::{Close, Scene, over_cut};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
 use crate::plan::{Action, Origin, Step, StepKind};
@@ -47,10 +47,6 @@ const RETRY_SHARE: f64 = 0.05;
 /// which is rare twice in a row.
 const BRIDGE_ROUNDS: usize = 6;
 
-/// Directions looked at together, without what those before them reach: more leave more to each,
-/// fewer keep threads waiting for the last.
-const AT_A_TIME: usize = 16;
-
 /// What is to be cut, and from how many directions at most.
 pub struct Cuts<'a> {
     pub removable: &'a BitGrid,
@@ -72,13 +68,16 @@ pub fn cut_blocks(
 ) -> Result<Cutting, Cancelled> {
     let Cuts { removable, deep, samples, before } = *cuts;
     let mut cutter = Cutter::new(setting, coarse, removable, deep);
-    cutter.repeat(before, ctx)?;
+    cutter.repeat(before, false, ctx)?;
     // Where others follow, the usual cutters need not be looked at closely before them.
     let alone = cutter.cutters.len() == setting.cutters().len();
     cutter.cut(samples, alone, ctx)?;
     if !alone && !cutter.cutting.unreached.is_empty() {
         cutter.cutters = setting.cutters();
         cutter.cut(samples, true, ctx)?;
+        if setting.cuts_closely() {
+            cutter.cut_closely(samples, ctx)?;
+        }
     }
     Ok(cutter.cutting)
 }
@@ -93,58 +92,29 @@ pub fn repeated(
     ctx: &Ctx,
 ) -> Result<Cutting, Cancelled> {
     let mut cutter = Cutter::new(setting, coarse, removable, deep);
-    cutter.repeat(ways, ctx)?;
+    cutter.repeat(ways, true, ctx)?;
     Ok(cutter.cutting)
 }
 
-/// What of some voxels any cutter reaches along any direction while just `kept` stands.
-pub fn within_reach(
-    setting: &Setting,
-    kept: &BitGrid,
-    some: &BitGrid,
-    samples: usize,
-    ctx: &Ctx,
-) -> Result<BitGrid, Cancelled> {
-    let frame = &setting.job.frame;
-    let mut left = some.clone();
-    for holding in 0..setting.holdings.len() {
-        let fixed = setting.fixed(holding, kept);
-        let scene = Scene::new(frame, kept, &fixed);
-        let mut directions = setting.axes(holding);
-        directions.extend(setting.sampled(holding, samples));
-        for directions in directions.chunks(AT_A_TIME) {
-            if left.is_empty() {
-                return Ok(some.clone());
-            }
-            let along: Vec<BitGrid> = directions
-                .par_iter()
-                .map(|d| {
-                    ctx.check()?;
-                    let mut any = BitGrid::new(some.dims());
-                    for map in cutter_maps(&scene, &left, setting.cutters(), *d) {
-                        any.union_with(&reachable(&map, &left, frame));
-                    }
-                    Ok(any)
-                })
-                .collect::<Result<_, Cancelled>>()?;
-            along.iter().for_each(|a| left.subtract(a));
-        }
-    }
-    Ok(some.minus(&left))
+/// How a cut is found: by depth maps, or near what is left by exact distances.
+#[derive(Clone, Copy)]
+pub(super) enum How {
+    ByMaps,
+    Closely,
 }
 
-struct Cutter<'s, 'a> {
-    setting: &'s Setting<'a>,
+pub(super) struct Cutter<'s, 'a> {
+    pub setting: &'s Setting<'a>,
     coarse: &'s Coarse,
-    removable: &'s BitGrid,
+    pub removable: &'s BitGrid,
     /// What stands at the end, on the coarse grid and on the job's.
     kept: BitGrid,
-    fine_kept: BitGrid,
+    pub fine_kept: BitGrid,
     /// Those in use: the usual ones, then all.
-    cutters: &'a [Tool],
+    pub cutters: &'a [Tool],
     /// Voxels that a block chosen on the coarse grid removes at least.
     least: usize,
-    cutting: Cutting,
+    pub cutting: Cutting,
 }
 
 impl<'s, 'a> Cutter<'s, 'a> {
@@ -168,8 +138,9 @@ impl<'s, 'a> Cutter<'s, 'a> {
         }
     }
 
-    /// Makes the cuts of an earlier plan that still remove anything.
-    fn repeat(&mut self, before: &[Step], ctx: &Ctx) -> Result<(), Cancelled> {
+    /// Makes the cuts of an earlier plan that still remove anything; `again`, also those that were
+    /// made by exact distances.
+    fn repeat(&mut self, before: &[Step], again: bool, ctx: &Ctx) -> Result<(), Cancelled> {
         let setting = self.setting;
         for of_holding in before.chunk_by(|a, b| a.holding == b.holding) {
             let holding = of_holding[0].holding;
@@ -180,7 +151,11 @@ impl<'s, 'a> Cutter<'s, 'a> {
                     continue;
                 };
                 let rest = self.removable.and(&self.cutting.state);
-                let region = self.held_cut(rest, &fixed, tool, step.direction);
+                let how = (tool, step.direction);
+                let mut region = self.held_cut(rest.clone(), &fixed, how, How::ByMaps);
+                if again && region.count_and(&self.cutting.unreached) == 0 && self.few_are_left() {
+                    region = self.held_cut(rest, &fixed, how, How::Closely);
+                }
                 if region.count_and(&self.cutting.unreached) > 0 {
                     self.push(region, tool, step.direction, holding);
                 }
@@ -302,17 +277,23 @@ impl<'s, 'a> Cutter<'s, 'a> {
     }
 
     /// The over-cut along a direction that lets nothing come loose; empty where none does.
-    fn held_cut(
+    pub(super) fn held_cut(
         &self,
         mut rest: BitGrid,
         fixed: &[DVec3],
-        tool: &Tool,
-        direction: Direction,
+        (tool, direction): (&Tool, Direction),
+        how: How,
     ) -> BitGrid {
         let job = self.setting.job;
         let state = &self.cutting.state;
         for _ in 0..BRIDGE_ROUNDS {
-            let Cut { region, .. } = over_cut(&job.frame, state, &rest, fixed, tool, direction);
+            let region = match how {
+                How::ByMaps => over_cut(&job.frame, state, &rest, fixed, tool, direction).region,
+                How::Closely => {
+                    let few = &self.cutting.unreached;
+                    Close::new(&job.frame, state, (&rest, few), fixed).cut(tool, direction)
+                }
+            };
             if region.is_empty() {
                 return region;
             }
@@ -355,7 +336,7 @@ impl<'s, 'a> Cutter<'s, 'a> {
             let Some(next) = choose(reach, &gains(reach, &left), &barren) else { return Ok(()) };
             let chosen = &reach[next];
             let rest = self.removable.and(&self.cutting.state).minus(later);
-            let region = self.held_cut(rest, fixed, chosen.tool, chosen.direction);
+            let region = self.held_cut(rest, fixed, (chosen.tool, chosen.direction), How::ByMaps);
             let gain = region.count_and(&self.cutting.unreached);
             tracing::debug!(
                 holding,
@@ -381,7 +362,13 @@ impl<'s, 'a> Cutter<'s, 'a> {
     }
 
     /// Makes a cut.
-    fn push(&mut self, region: BitGrid, tool: &Tool, direction: Direction, holding: usize) {
+    pub(super) fn push(
+        &mut self,
+        region: BitGrid,
+        tool: &Tool,
+        direction: Direction,
+        holding: usize,
+    ) {
         let cutting = &mut self.cutting;
         cutting.state.subtract(&region);
         cutting.unreached.subtract(&region);

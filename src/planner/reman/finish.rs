@@ -11,8 +11,9 @@
 //! else it stays as it was. Not guaranteed: an allowance on every printed face. What faces down,
 //! is hidden, or lies against what is reused has none.
 
-use super::cutting::{Cuts, cut_blocks, within_reach};
+use super::cutting::{Cuts, cut_blocks};
 use super::printing::{Wanted, print_again};
+use super::reach::within_reach;
 use super::round::{Attempt, all_of};
 use super::{Options, Run, Start};
 use crate::base::{Ctx, Direction};

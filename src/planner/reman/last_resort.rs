@@ -14,10 +14,12 @@
 //! leaves less. Not guaranteed: that nothing is left.
 
 use super::clip::Clip;
-use super::cutting::{Cuts, cut_blocks, within_reach};
+use super::cutting::{Cuts, cut_blocks};
 use super::printing::{OnSupports, Wanted, print_blocks, print_on_supports};
+use super::reach::within_reach;
 use super::reasons::open_below;
 use super::round::{Attempt, Mending, along, deep, printed, volumes};
+use super::setting::Setting;
 use super::{Options, Run, Start};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Step, StepKind};
@@ -72,30 +74,49 @@ pub fn last_resort(
     plain: Attempt,
     on_supports: Option<Attempt>,
 ) -> Result<Attempt, PlanError> {
-    let setting = run.start.setting.with_last_resort();
-    let start = run.start.in_setting(&setting);
+    let all_tools = run.start.setting.with_last_resort();
+    let closely = run.start.setting.with_close_cuts();
     let (clips, volumes) = (plain.clips.clone(), plain.volumes.clone());
     let under = UnderPlanes { clips, volumes };
+    let (_, added) = deep(&all_tools, &under.volumes);
     let finished = finished_stock(&plain);
-    let mut known = on_supports.filter(|o| o.clips == plain.clips);
+    let known = on_supports.filter(|o| o.clips == plain.clips);
+    let with = (&under, &finished, !added.is_empty());
+    // Close cuts are many and small. Where anything is printed, other supports may do without.
     let mut best = plain;
+    if !added.is_empty() {
+        best = resorted(run, &all_tools, with, best, known)?;
+    }
+    resorted(run, &closely, with, best, None)
+}
+
+/// The best of an attempt and what the tools of a setting make of its planes.
+fn resorted(
+    run: &mut Run,
+    setting: &Setting,
+    (under, finished, prints): (&UnderPlanes, &Stock, bool),
+    mut best: Attempt,
+    mut known: Option<Attempt>,
+) -> Result<Attempt, PlanError> {
+    let start = run.start.in_setting(setting);
     for (waits, supports) in [(true, true), (false, false), (false, true)] {
         if best.residual() == 0 || run.ctx.out_of_time() {
             break;
         }
-        let unlike_before = if supports { run.options.supports } else { setting.has_last_resort() };
+        // What is not printed needs no supports.
+        let on_supports = run.options.supports && prints;
+        let unlike_before = if supports { on_supports } else { setting.has_last_resort() };
         if !unlike_before || waits && under.clips.is_empty() {
             continue;
         }
+        let how = (run.options, run.ctx);
         let made = match (waits, known.take()) {
             (true, Some(known)) => is_better(&known, &best, setting.job).then_some(known),
             (true, None) => {
-                let stock = start.stock_under_planes(&under, run.options, run.ctx)?;
-                rounds(&start, (&under, &stock), supports, Some(&best), (run.options, run.ctx))?
+                let stock = start.stock_under_planes(under, run.options, run.ctx)?;
+                rounds(&start, (under, &stock), supports, Some(&best), how)?
             }
-            (false, _) => {
-                rounds(&start, (&under, &finished), supports, Some(&best), (run.options, run.ctx))?
-            }
+            (false, _) => rounds(&start, (under, finished), supports, Some(&best), how)?,
         };
         run.clock.lap("blocks");
         best = made.unwrap_or(best);

@@ -56,6 +56,7 @@
 pub(super) mod bridges;
 mod candidates;
 mod clip;
+mod close;
 mod coarse;
 mod compared;
 mod cutting;

@@ -1,5 +1,6 @@
 //! What directions and tools could reach at best, and which of them comes next.
 
+use super::setting::Setting;
 use crate::access::{Scene, cutter_maps, reachable};
 use crate::base::{Cancelled, Ctx, Direction};
 use crate::machine::Tool;
@@ -9,6 +10,10 @@ use rayon::prelude::*;
 /// A shorter tool is taken when it reaches this share of what the best tool reaches; the rest is
 /// left to a later block. Lower means more tool changes, higher means longer tools everywhere.
 const SHORTER_TOOL_SHARE: f64 = 0.97;
+
+/// Directions looked at together, without what those before them reach: more leave more to each,
+/// fewer keep threads waiting for the last.
+const AT_A_TIME: usize = 16;
 
 /// A direction with a tool and the deep material it could reach at best.
 pub struct Reach<'a> {
@@ -85,6 +90,42 @@ pub fn bounds_along<'a>(
         Reach { direction, tool, bound }
     };
     cutters.iter().zip(&maps).map(reach).collect()
+}
+
+/// What of some voxels any cutter reaches along any direction while just `kept` stands.
+pub fn within_reach(
+    setting: &Setting,
+    kept: &BitGrid,
+    some: &BitGrid,
+    samples: usize,
+    ctx: &Ctx,
+) -> Result<BitGrid, Cancelled> {
+    let frame = &setting.job.frame;
+    let mut left = some.clone();
+    for holding in 0..setting.holdings.len() {
+        let fixed = setting.fixed(holding, kept);
+        let scene = Scene::new(frame, kept, &fixed);
+        let mut directions = setting.axes(holding);
+        directions.extend(setting.sampled(holding, samples));
+        for directions in directions.chunks(AT_A_TIME) {
+            if left.is_empty() {
+                return Ok(some.clone());
+            }
+            let along: Vec<BitGrid> = directions
+                .par_iter()
+                .map(|d| {
+                    ctx.check()?;
+                    let mut any = BitGrid::new(some.dims());
+                    for map in cutter_maps(&scene, &left, setting.cutters(), *d) {
+                        any.union_with(&reachable(&map, &left, frame));
+                    }
+                    Ok(any)
+                })
+                .collect::<Result<_, Cancelled>>()?;
+            along.iter().for_each(|a| left.subtract(a));
+        }
+    }
+    Ok(some.minus(&left))
 }
 
 /// Voxels of `left` that each could reach.

@@ -17,6 +17,8 @@ pub struct Setting<'a> {
     old: Option<BitGrid>,
     /// Whether tools of the last resort take part.
     last_resort: bool,
+    /// Whether what little they leave is cut by exact distances.
+    closely: bool,
 }
 
 impl<'a> Setting<'a> {
@@ -30,22 +32,32 @@ impl<'a> Setting<'a> {
             ),
         };
         let holdings = holdings(job);
-        Setting { job, holdings, first_fixed, old: None, last_resort: false }
+        Setting { job, holdings, first_fixed, old: None, last_resort: false, closely: false }
     }
 
     /// The setting of a further round: `job` starts from what the rounds before left, `old` is what
     /// they kept of the initial part. The pedestal stays as wide as it was.
     pub fn of_next_round(&self, job: &'a Job, old: BitGrid) -> Self {
         let first_fixed = self.first_fixed.clone();
-        let (holdings, last_resort) = (holdings(job), self.last_resort);
-        Setting { job, holdings, first_fixed, old: Some(old), last_resort }
+        let (last_resort, closely) = (self.last_resort, self.closely);
+        let holdings = holdings(job);
+        Setting { job, holdings, first_fixed, old: Some(old), last_resort, closely }
     }
 
     /// The same with all tools of the job.
     pub fn with_last_resort(&self) -> Setting<'a> {
         let (job, holdings) = (self.job, self.holdings.clone());
         let (first_fixed, old) = (self.first_fixed.clone(), self.old.clone());
-        Setting { job, holdings, first_fixed, old, last_resort: true }
+        Setting { job, holdings, first_fixed, old, last_resort: true, closely: self.closely }
+    }
+
+    /// The same with all tools of the job and cuts by exact distances: see `close`.
+    pub fn with_close_cuts(&self) -> Setting<'a> {
+        Setting { closely: true, ..self.with_last_resort() }
+    }
+
+    pub fn cuts_closely(&self) -> bool {
+        self.closely
     }
 
     /// The cutters that take part, shortest first.
@@ -182,11 +194,11 @@ mod tests {
         assert!(usual.has_last_resort());
         assert!(names(usual.cutters()).is_empty() && names(usual.nozzles()).is_empty());
         let all = usual.with_last_resort();
-        assert_eq!(names(all.cutters()), ["ball-1.4x24"]);
+        assert_eq!(names(all.cutters()), ["ball-1.4x24", "taper-1x50"]);
         assert_eq!(names(all.nozzles()), ["needle-nozzle"]);
         assert_eq!(all.usual_cutters(), usual.cutters());
         // A job that has no others has these.
         let only = job_of(frame, part.clone(), part, |t| t.taken == Taken::LastResort);
-        assert_eq!(names(Setting::new(&only).cutters()), ["ball-1.4x24"]);
+        assert_eq!(names(Setting::new(&only).cutters()), ["ball-1.4x24", "taper-1x50"]);
     }
 }
