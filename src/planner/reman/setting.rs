@@ -194,11 +194,11 @@ mod tests {
         assert!(usual.has_last_resort());
         assert!(names(usual.cutters()).is_empty() && names(usual.nozzles()).is_empty());
         let all = usual.with_last_resort();
-        assert_eq!(names(all.cutters()), ["ball-1.4x24", "taper-1x50"]);
+        assert_eq!(names(all.cutters()), ["taper-1x50", "ball-1.4x24"]);
         assert_eq!(names(all.nozzles()), ["needle-nozzle"]);
         assert_eq!(all.usual_cutters(), usual.cutters());
         // A job that has no others has these.
         let only = job_of(frame, part.clone(), part, |t| t.taken == Taken::LastResort);
-        assert_eq!(names(Setting::new(&only).cutters()), ["ball-1.4x24", "taper-1x50"]);
+        assert_eq!(names(Setting::new(&only).cutters()), ["taper-1x50", "ball-1.4x24"]);
     }
 }
