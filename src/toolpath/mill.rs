@@ -567,30 +567,48 @@ impl<'a> Stage<'a> {
         let (work, lowest, stock) = (self.work, &self.fine, self.process.stock);
         let ways = Touch { work, exact, lowest, stock }.ways(cuts)?;
         for way in ways {
+            self.touch_along(way);
+        }
+        Ok(())
+    }
+
+    /// Along a way and back in levels, from where material may still stand beside what was cut.
+    fn touch_along(&mut self, mut way: Vec<DVec3>) {
+        let top = way.iter().map(|t| self.stands_over(*t)).fold(f64::NEG_INFINITY, f64::max);
+        let deepest = way.iter().map(|t| t.z).fold(f64::INFINITY, f64::min);
+        let step = self.process.step_down.max(LEAST_STEP_SHARE * self.lattice.s);
+        let mut level = top;
+        loop {
+            level = (level - step).max(deepest);
             for (k, tip) in way.iter().enumerate() {
                 let Some(cell) = self.lattice.cell(tip.truncate()) else { continue };
-                let aside = tip.truncate() - self.lattice.uv(cell);
-                if k == 0 {
+                let (aside, z) = (tip.truncate() - self.lattice.uv(cell), tip.z.max(level));
+                if self.at.is_none() {
                     self.go(MoveKind::Rapid, cell, aside, self.safe, 0.0);
-                    let near = (self.highest_around(cell) + CLEARANCE_MM).max(tip.z);
+                    let near = (top + CLEARANCE_MM).max(z);
                     if near < self.safe {
                         self.go(MoveKind::Approach, cell, aside, near, self.process.approach_feed);
                     }
                 }
                 let feed = if k == 0 { self.process.plunge_feed } else { self.process.feed };
-                self.go(MoveKind::Cut, cell, aside, tip.z, feed);
+                self.go(MoveKind::Cut, cell, aside, z, feed);
             }
-            self.retract();
+            if level <= deepest {
+                break;
+            }
+            way.reverse();
         }
-        Ok(())
+        self.retract();
     }
 
-    /// Height at which a tip within a cell of this one meets material.
-    fn highest_around(&self, cell: Cell) -> f64 {
-        let [nu, nv] = self.lattice.n;
-        let around = |x: usize, n: usize| x.saturating_sub(1)..(x + 2).min(n);
-        let cells = around(cell[1], nv).flat_map(|j| around(cell[0], nu).map(move |i| [i, j]));
-        let over = cells.map(|c| self.stock.over(self.lattice.index(c)));
+    /// Height at which a tip over the cells around a place meets material.
+    fn stands_over(&self, tip: DVec3) -> f64 {
+        let l = &self.lattice;
+        let g = (tip.truncate() - l.origin) / l.s;
+        let span =
+            |x: f64, n: usize| x.floor().max(0.0) as usize..(x.ceil().max(0.0) as usize + 1).min(n);
+        let cells = span(g.y, l.n[1]).flat_map(|j| span(g.x, l.n[0]).map(move |i| [i, j]));
+        let over = cells.map(|c| self.stock.over(l.index(c)));
         f64::from(over.fold(f32::NEG_INFINITY, f32::max))
     }
 

@@ -119,8 +119,11 @@ impl Swept {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let (low, high) = (a.z.min(b.z), a.z.max(b.z));
         if p.z - high >= self.end.rounding() && p.z - low <= self.edge {
-            // Beside the edge's cylinder all along.
-            return apart(p.truncate(), a.truncate(), b.truncate()) - self.end.radius();
+            // Beside the edge's cylinder all along; inside, its upper rim may be nearer.
+            let beside = apart(p.truncate(), a.truncate(), b.truncate()) - self.end.radius();
+            if beside >= 0.0 {
+                return beside;
+            }
         }
         let at = |t: f64| from_edge(self.end, self.edge, a.lerp(b, t), p);
         let (mut low, mut high, length) = (0.0, 1.0, a.distance(b));
