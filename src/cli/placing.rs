@@ -5,8 +5,8 @@
 //! its faces. The best placement is planned. Asked for so many candidates, that many are planned in
 //! full and the best plan is kept. Where planner search begins with nothing, the candidates are the six
 //! ways of putting the target on the table, its file's first; those from which a first over-fill misses
-//! most come last. They are planned until a search ends within δ of the target. Asked for none in particular, the others have a say only where the
-//! plan of the first keeps little of what both parts have in common there: each is then looked at on a
+//! most come last. They are planned until a search ends within δ of the target. Asked for none in particular,
+//! the others have a say only where the plan of the first keeps little of what both parts have in common there: each is then looked at on a
 //! coarse grid, and of those that promise more, the most promising first, at most two are planned as
 //! well, until one keeps enough.
 //!
@@ -245,6 +245,10 @@ impl Placing<'_> {
         let Some((mut best, up)) = best else {
             return Err(Failure::input("the setup search found no placement"));
         };
+        let files = places.first().map_or_else(String::new, |p| axis_up(&p.motion));
+        if others.is_empty() && up != files {
+            others.push(format!("{files} up, as in the file, promised less"));
+        }
         if !others.is_empty() {
             let own = best.standing().left_mm3;
             best.notes.push(format!(
