@@ -6,8 +6,8 @@
 //! material is left, and around the best of these in halving steps. Over a wall the tip goes as low as the edge is long. Positions
 //! a step apart are joined into ways.
 //!
-//! Guarantees: a tip is never below the lowest free one, and joined ones never less than [`SINK_MM`]
-//! between them; a position is taken only when it takes off [`GAIN_MM`] at least. Not guaranteed: facets
+//! Guarantees: a tip is never below the lowest free one, and between joined ones no more than [`SINK_MM`]
+//! below it; a position is taken only when it takes off [`GAIN_MM`] at least. Not guaranteed: facets
 //! that shank or holder keep every position from; the very best position.
 
 use super::cells::Cells;
