@@ -121,8 +121,11 @@ struct Columns {
     pitch: f64,
     /// Per column, of each layer the solid voxels in it and above.
     from: Vec<u16>,
-    /// Per column the first layer cut off.
+    /// Per column the first layer cut off, and the solid voxels in it and above.
     top: Vec<u32>,
+    lost: Vec<u16>,
+    /// The first layer over everything.
+    roof: usize,
 }
 
 impl Columns {
@@ -138,8 +141,9 @@ impl Columns {
                 }
             }
         }
-        let top = vec![nz as u32; nx * ny];
-        Columns { nx: nx as i64, ny: ny as i64, nz, pitch, from, top }
+        let (top, lost) = (vec![nz as u32; nx * ny], vec![0; nx * ny]);
+        let roof = grid.extent().map_or(0, |(_, hi)| hi[2] + 1);
+        Columns { nx: nx as i64, ny: ny as i64, nz, pitch, from, top, lost, roof }
     }
 
     fn column(&self, x: i64, y: i64) -> Option<usize> {
@@ -154,16 +158,20 @@ impl Columns {
 
     /// Solid voxels of a column from a layer up, less what was cut off.
     fn above(&self, column: usize, layer: usize) -> u16 {
-        let own = &self.from[column * (self.nz + 1)..][..=self.nz];
-        own[layer].saturating_sub(own[self.top[column] as usize])
+        self.from[column * (self.nz + 1) + layer].saturating_sub(self.lost[column])
     }
 
     /// What a tool with its tip at a height over (x, y) meets, about; infinite beyond `limit`.
     fn met(&self, [x, y]: [i64; 2], tip: f64, foot: &Footprint, limit: f64) -> f64 {
         let mut sum = 0.0;
         for &(i, j, z, weight) in &foot.sampled {
+            // Cells come nearest first, and a lower surface only rises outward.
+            let layer = self.layer_above(tip + z - SLACK_MM);
+            if layer >= self.roof {
+                break;
+            }
             if let Some(c) = self.column(x + i, y + j) {
-                sum += weight * f64::from(self.above(c, self.layer_above(tip + z - SLACK_MM)));
+                sum += weight * f64::from(self.above(c, layer));
                 if sum >= limit {
                     return f64::INFINITY;
                 }
@@ -175,9 +183,13 @@ impl Columns {
     /// Cuts off what a tool with its tip there meets.
     fn cut(&mut self, [x, y]: [i64; 2], tip: f64, foot: &Footprint) {
         for &(i, j, z) in &foot.cells {
-            if let Some(c) = self.column(x + i, y + j) {
-                let layer = self.layer_above(tip + z - SLACK_MM) as u32;
-                self.top[c] = self.top[c].min(layer);
+            let layer = self.layer_above(tip + z - SLACK_MM);
+            if layer >= self.roof {
+                break;
+            }
+            if let Some(c) = self.column(x + i, y + j).filter(|c| layer < self.top[*c] as usize) {
+                self.top[c] = layer as u32;
+                self.lost[c] = self.from[c * (self.nz + 1) + layer];
             }
         }
     }
