@@ -170,7 +170,12 @@ fn the_nozzle_that_is_a_mesh_takes_the_room_of_its_corners() {
     assert_closed_surface("fine nozzle", &mesh);
     let tool = Tool::load(&shipped::folder().join("fine-nozzle.toml")).unwrap();
     let corner = 0.52 / (PI / 6.0).cos();
-    let wanted = [(0.0, 0.2, 12.0, 0.6), (12.0, corner, 40.0, corner), (40.0, 20.0, 100.0, 20.0)];
+    let wanted = [
+        (0.0, 0.15, 6.0, 0.18),
+        (6.0, 0.18, 12.0, 0.6),
+        (12.0, corner, 40.0, corner),
+        (40.0, 20.0, 100.0, 20.0),
+    ];
     assert_eq!(tool.sections.len(), wanted.len());
     for (section, (z0, r0, z1, r1)) in tool.sections.iter().zip(wanted) {
         let shape = section.shape;

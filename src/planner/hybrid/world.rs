@@ -77,6 +77,14 @@ impl Action {
     }
 }
 
+/// A workpiece after an action.
+fn changed(solid: &BitGrid, action: Action, region: &BitGrid) -> BitGrid {
+    match action.kind() {
+        StepKind::Subtractive => solid.minus(region),
+        StepKind::Additive => solid.or(region),
+    }
+}
+
 /// Everything the search asks about.
 pub struct Shop<'a> {
     pub job: &'a Job,
@@ -142,8 +150,9 @@ impl<'a> Shop<'a> {
     }
 
     /// Follows `path` and goes on by over-cuts and under-fills with the cheapest tools, the one
-    /// that moves most first, as long as one moves enough for a step: skin that no goal asks for,
-    /// but which is there to be reached. None of them costs more than h charges for what it moves.
+    /// that moves most first, as long as one moves enough for a step or half of what is off: skin
+    /// that no goal asks for, but which is there to be reached, and the little that keeps a plan
+    /// from being complete. None of them costs more than h charges for what it moves.
     /// The path, what it costs and the state it ends in.
     pub fn carried_on(
         &self,
@@ -155,28 +164,52 @@ impl<'a> Shop<'a> {
             let solid = state.solid.grid();
             let Some(region) = self.apply(&solid, *action) else { break };
             paid += self.costs.moved(action.kind(), action.tool, region.count());
-            let after = match action.kind() {
-                StepKind::Subtractive => solid.minus(&region),
-                StepKind::Additive => solid.or(&region),
-            };
-            state = self.after(&state, &after, action.axis);
+            state = self.after(&state, &changed(&solid, *action, &region), action.axis);
         }
-        while path.len() < most_steps && state.excess + state.deficit >= self.least {
-            let ways = self.successors(&state)?.into_iter().filter_map(|way| match way {
-                Successor::Made(made) => Some(made),
-                Successor::Promised { .. } => None,
-            });
-            let off = |s: &State| s.excess + s.deficit;
-            let best = ways
-                .filter(|m| matches!(m.action.action, plan::Action::OC | plan::Action::UF))
-                .filter(|m| self.costs.is_cheapest(m.action.kind(), m.action.tool))
-                .min_by_key(|m| off(&m.state));
-            let Some(best) = best.filter(|m| off(&m.state) < off(&state)) else { break };
-            path.push(best.action);
-            paid += best.cost;
-            state = best.state;
+        while path.len() < most_steps && state.excess + state.deficit > 0 {
+            let least = self.least.min((state.excess + state.deficit).div_ceil(2));
+            let solid = state.solid.grid();
+            let made: Vec<(Action, BitGrid)> = self
+                .direct(&state)
+                .into_par_iter()
+                .map(|action| {
+                    self.ctx.check()?;
+                    Ok(self.apply(&solid, action).map(|region| (action, region)))
+                })
+                .filter_map(Result::transpose)
+                .collect::<Result<_, Cancelled>>()?;
+            let most = made.into_iter().rev().max_by_key(|(_, region)| region.count());
+            let Some((action, region)) = most.filter(|(_, r)| r.count() >= least) else { break };
+            path.push(action);
+            paid += self.costs.moved(action.kind(), action.tool, region.count());
+            state = self.after(&state, &changed(&solid, action, &region), action.axis);
         }
         Ok((path, paid, state))
+    }
+
+    /// Over-cuts and under-fills with the cheapest tools, along every direction that may follow.
+    fn direct(&self, state: &State) -> Vec<Action> {
+        let cheapest = |action, kind, tools: usize| {
+            let tools = (0..tools).filter(move |n| self.costs.is_cheapest(kind, *n));
+            tools.map(move |tool| (action, tool))
+        };
+        let cuts = cheapest(plan::Action::OC, StepKind::Subtractive, self.job.cutters.len())
+            .filter(|_| state.excess > 0);
+        let fills = cheapest(plan::Action::UF, StepKind::Additive, self.job.nozzles.len())
+            .filter(|_| state.deficit > 0);
+        let ways: Vec<(plan::Action, usize)> = cuts.chain(fills).collect();
+        let along = |view: &View| {
+            let axis = view.index;
+            let ways = ways.iter().map(move |(action, tool)| (*action, *tool));
+            ways.map(move |(action, tool)| Action { action, tool, axis, clearable: false })
+        };
+        self.views_after(state).into_iter().flat_map(along).collect()
+    }
+
+    /// The directions that may follow.
+    fn views_after(&self, state: &State) -> Vec<&View> {
+        let opposite = AXES[state.up].opposite();
+        self.views.iter().filter(|v| !self.relative || v.direction != opposite).collect()
     }
 
     /// Bytes that states made so far take.
@@ -192,7 +225,7 @@ impl<'a> Shop<'a> {
         self.views.iter().find(|v| v.index == axis)
     }
 
-    /// What an action changes in a workpiece; none when it can do nothing worth a step.
+    /// What an action changes in a workpiece; none when it can do nothing.
     pub fn apply(&self, solid: &BitGrid, action: Action) -> Option<BitGrid> {
         let view = self.view(action.axis)?;
         let site = view.site(self.job, solid);
@@ -215,7 +248,7 @@ impl<'a> Shop<'a> {
                 self.filled(solid, &site, &open, action.action)
             }
         };
-        (region.count() >= self.least).then_some(region)
+        (!region.is_empty()).then_some(region)
     }
 
     /// The over-cut of `removable` that lets nothing come loose, in the job's coordinates.
@@ -325,10 +358,7 @@ impl<'a> Shop<'a> {
         if voxels < self.least {
             return None;
         }
-        let after = match action.kind() {
-            StepKind::Subtractive => solid.minus(region),
-            StepKind::Additive => solid.or(region),
-        };
+        let after = changed(solid, action, region);
         let cost = self.costs.moved(action.kind(), action.tool, voxels);
         Some(Successor::Made(Made { action, cost, state: self.after(of, &after, action.axis) }))
     }
@@ -376,11 +406,9 @@ impl World for Shop<'_> {
     fn successors(&self, state: &State) -> Result<Vec<Successor<State, Action>>, Cancelled> {
         self.ctx.check()?;
         let solid = state.solid.grid();
-        let opposite = AXES[state.up].opposite();
-        let views: Vec<&View> =
-            self.views.iter().filter(|v| !self.relative || v.direction != opposite).collect();
-        let ways: Vec<Vec<Successor<State, Action>>> = views
-            .par_iter()
+        let ways: Vec<Vec<Successor<State, Action>>> = self
+            .views_after(state)
+            .into_par_iter()
             .map(|view| {
                 self.ctx.check()?;
                 Ok(self.along(view, &solid, state))
@@ -392,7 +420,9 @@ impl World for Shop<'_> {
     fn make(&self, state: &State, action: &Action) -> Result<Option<(f64, State)>, Cancelled> {
         self.ctx.check()?;
         let solid = state.solid.grid();
-        let Some(region) = self.apply(&solid, *action) else { return Ok(None) };
+        let Some(region) = self.apply(&solid, *action).filter(|r| r.count() >= self.least) else {
+            return Ok(None);
+        };
         let cost = self.costs.moved(action.kind(), action.tool, region.count());
         Ok(Some((cost, self.after(state, &solid.minus(&region), action.axis))))
     }
