@@ -57,7 +57,7 @@ mod world;
 
 pub use shaped::{over_cut_by, under_cut_by};
 
-use crate::base::Ctx;
+use crate::base::{Cancelled, Ctx};
 use crate::machine::{BaseKind, Holding};
 use crate::plan::{self, Job, Origin, Plan, Step, StepKind};
 use crate::planner::PlanError;
@@ -226,7 +226,7 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
         (cost, left) = (paid + shop.remaining(&end), shop.shortfall(&end));
         path = longer;
     }
-    let plan = steps(&shop, &path);
+    let plan = steps(&shop, &path)?;
     let report = Report {
         cost: cost * voxel,
         bound: bound * voxel,
@@ -253,7 +253,7 @@ pub fn glance(job: &Job, options: &Options, ctx: &Ctx) -> Result<f64, PlanError>
         for tool in 0..job.nozzles.len() {
             ctx.check()?;
             let fill = Action { action: plan::Action::OF, tool, axis, clearable: true };
-            let laid = shop.apply(&job.initial, fill);
+            let laid = shop.apply(&job.initial, fill)?;
             least = least.min(laid.map_or(least, |l| missing.minus(&l).count()));
         }
     }
@@ -261,14 +261,14 @@ pub fn glance(job: &Job, options: &Options, ctx: &Ctx) -> Result<f64, PlanError>
 }
 
 /// The actions of a path as steps, made again one after the other.
-fn steps(shop: &Shop, path: &[Action]) -> Plan {
+fn steps(shop: &Shop, path: &[Action]) -> Result<Plan, Cancelled> {
     let job = shop.job;
     let mut plan = Plan { holdings: vec![Holding::AS_CLAMPED], steps: Vec::new() };
     let mut state = job.initial.clone();
     let mut blocks = [0; 2];
     let mut before: Option<(usize, usize)> = None;
     for action in path {
-        let (Some(view), Some(region)) = (shop.view(action.axis), shop.apply(&state, *action))
+        let (Some(view), Some(region)) = (shop.view(action.axis), shop.apply(&state, *action)?)
         else {
             break;
         };
@@ -315,5 +315,5 @@ fn steps(shop: &Shop, path: &[Action]) -> Plan {
         });
         *block += 1;
     }
-    plan
+    Ok(plan)
 }

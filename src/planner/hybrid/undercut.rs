@@ -22,7 +22,7 @@
 
 use super::cutting::reached;
 use super::site::{Site, held};
-use crate::base::DVec2;
+use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::Job;
 use crate::voxel::BitGrid;
@@ -41,6 +41,9 @@ const EXACT_CELLS: f64 = 24.0;
 /// Contacts tried for a voxel: more find a slightly lesser collision, at cost in proportion.
 const MOST_CONTACTS: usize = 24;
 
+/// How finely heights are listed by their radius.
+const RADII_PER_CELL: f64 = 8.0;
+
 /// Voxels whose least collision bounds that of an under-cut from below.
 const BOUND_SAMPLES: usize = 12;
 
@@ -52,6 +55,8 @@ pub struct Footprint {
     sampled: Vec<(i64, i64, f64, f64)>,
     /// (i, j, k): contacts of the edge, nearest first.
     contacts: Vec<(i64, i64, f64)>,
+    /// Height at every [`RADII_PER_CELL`]-th of a cell from the axis, as far as there is a tool.
+    heights: Vec<f64>,
 }
 
 impl Footprint {
@@ -109,7 +114,12 @@ impl Footprint {
                 (i % step == 0 && j % step == 0).then_some((i, j, z, (step * step) as f64))
             })
             .collect();
-        Footprint { cells, sampled, contacts }
+        let heights = (0..)
+            .map(|k| lower(f64::from(k) / RADII_PER_CELL * pitch))
+            .take((RADII_PER_CELL * (reach as f64 + 1.0)) as usize)
+            .take_while(|z| z.is_finite())
+            .collect();
+        Footprint { cells, sampled, contacts, heights }
     }
 }
 
@@ -230,40 +240,55 @@ fn needs(left: &BitGrid, pitch: f64) -> Vec<([i64; 2], f64)> {
 
 /// What an under-cut leaves, in turned coordinates; none where the tool cannot come to all of
 /// P_i − P, or nothing would be left.
-pub fn under_cut(job: &Job, site: &Site, tool: &Tool) -> Option<BitGrid> {
+///
+/// # Errors
+/// [`Cancelled`] when the user has asked to stop.
+pub fn under_cut(
+    job: &Job,
+    site: &Site,
+    tool: &Tool,
+    ctx: &Ctx,
+) -> Result<Option<BitGrid>, Cancelled> {
     let frame = &site.view.frame;
     let mut left = site.state.and(&site.view.target);
     let foot = Footprint::new(tool, frame.pitch, frame.dims);
+    let fixed = Fixed::of(&site.fixed);
     let mut columns: Option<Columns> = None;
     for _ in 0..MOST_ROUNDS {
         let gone = site.state.minus(&left);
         let hidden = gone.minus(&reached(site, &left, &gone, tool));
         if !hidden.is_empty() {
             let columns = columns.get_or_insert_with(|| Columns::of(&left, frame.pitch));
-            serve(columns, &foot, &needs(&hidden, frame.pitch), site);
+            serve(columns, &foot, &needs(&hidden, frame.pitch), &fixed, ctx)?;
             let next = columns.left(&left);
             if next == left {
-                return None;
+                return Ok(None);
             }
             left = next;
             continue;
         }
         let standing = held(job, &site.view.down(&left));
         if standing.is_empty() {
-            return None;
+            return Ok(None);
         }
         let standing = site.view.up(&standing);
         if standing == left {
-            return Some(left);
+            return Ok(Some(left));
         }
         left = standing;
         columns = None;
     }
-    None
+    Ok(None)
 }
 
 /// Chooses contacts for what is needed, the deepest first, and cuts what the tool meets there.
-fn serve(columns: &mut Columns, foot: &Footprint, needs: &[([i64; 2], f64)], site: &Site) {
+fn serve(
+    columns: &mut Columns,
+    foot: &Footprint,
+    needs: &[([i64; 2], f64)],
+    fixed: &Fixed,
+    ctx: &Ctx,
+) -> Result<(), Cancelled> {
     let stride = foot.contacts.len().div_ceil(MOST_CONTACTS).max(1);
     // Lowest height from which each column is served by the contacts chosen so far.
     let mut served = vec![f64::INFINITY; (columns.nx * columns.ny) as usize];
@@ -272,13 +297,14 @@ fn serve(columns: &mut Columns, foot: &Footprint, needs: &[([i64; 2], f64)], sit
         if z >= served[own] {
             continue;
         }
+        ctx.check()?;
         let mut best: Option<(f64, [i64; 2], f64)> = None;
         for &(i, j, k) in foot.contacts.iter().step_by(stride) {
             // The tip stands off so that its edge, at (−i, −j) from it, touches the voxel.
             let (at, tip) = ([x + i, y + j], z - k - 2.0 * SLACK_MM);
             let limit = best.as_ref().map_or(f64::INFINITY, |b| b.0);
             let met = columns.met(at, tip, foot, limit);
-            if met < limit && clear_of_fixed(site, at, tip, foot) {
+            if met < limit && fixed.is_clear_of(at, tip, foot, columns.pitch) {
                 best = Some((met, at, tip));
             }
         }
@@ -290,26 +316,34 @@ fn serve(columns: &mut Columns, foot: &Footprint, needs: &[([i64; 2], f64)], sit
             }
         }
     }
+    Ok(())
 }
 
-/// Whether a tool with its tip there meets nothing that holds the part.
-fn clear_of_fixed(site: &Site, [x, y]: [i64; 2], tip: f64, foot: &Footprint) -> bool {
-    let pitch = site.view.frame.pitch;
-    let Some(reach) = foot.cells.last().map(|(i, j, _)| ((i * i + j * j) as f64).sqrt()) else {
-        return true;
-    };
-    let centre = DVec2::new(x as f64 + 0.5, y as f64 + 0.5) * pitch;
-    site.fixed.iter().all(|p| {
-        let rho = p.truncate().distance(centre);
-        rho > (reach + 1.0) * pitch || p.z <= tip + height_at(foot, rho / pitch)
-    })
-}
+/// What holds the part, the highest point of each place across the direction, from the highest down.
+pub struct Fixed(Vec<DVec3>);
 
-/// Height of the lower surface at a radius in cells, from the cell next nearer the axis.
-fn height_at(foot: &Footprint, cells: f64) -> f64 {
-    let inner = (cells - 1.0).max(0.0);
-    let at = foot.cells.partition_point(|(i, j, _)| ((i * i + j * j) as f64).sqrt() < inner);
-    foot.cells[at.saturating_sub(1)..].first().map_or(f64::INFINITY, |c| c.2)
+impl Fixed {
+    pub fn of(points: &[DVec3]) -> Fixed {
+        let mut highest: Vec<DVec3> = points.to_vec();
+        highest.sort_by(|a, b| {
+            a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(b.z.total_cmp(&a.z))
+        });
+        highest.dedup_by_key(|p| p.truncate());
+        highest.sort_by(|a, b| b.z.total_cmp(&a.z));
+        Fixed(highest)
+    }
+
+    /// Whether a tool with its tip over a cell meets none of it.
+    pub fn is_clear_of(&self, [x, y]: [i64; 2], tip: f64, foot: &Footprint, pitch: f64) -> bool {
+        let centre = DVec2::new(x as f64 + 0.5, y as f64 + 0.5) * pitch;
+        // A lower surface lies nowhere under the tip.
+        self.0.iter().take_while(|p| p.z > tip).all(|p| {
+            // A cell nearer to the axis, so that no point is met by a hair.
+            let cells = (p.truncate().distance(centre) / pitch - 1.0).max(0.0);
+            let height = foot.heights.get((cells * RADII_PER_CELL) as usize);
+            height.is_none_or(|h| p.z <= tip + h)
+        })
+    }
 }
 
 /// A number of voxels of P_i ∩ P that any under-cut takes, given what of P_i − P is hidden while

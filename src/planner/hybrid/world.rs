@@ -162,7 +162,7 @@ impl<'a> Shop<'a> {
         let (mut state, mut paid) = (self.start(), 0.0);
         for action in &path {
             let solid = state.solid.grid();
-            let Some(region) = self.apply(&solid, *action) else { break };
+            let Some(region) = self.apply(&solid, *action)? else { break };
             paid += self.costs.moved(action.kind(), action.tool, region.count());
             state = self.after(&state, &changed(&solid, *action, &region), action.axis);
         }
@@ -174,7 +174,7 @@ impl<'a> Shop<'a> {
                 .into_par_iter()
                 .map(|action| {
                     self.ctx.check()?;
-                    Ok(self.apply(&solid, action).map(|region| (action, region)))
+                    Ok(self.apply(&solid, action)?.map(|region| (action, region)))
                 })
                 .filter_map(Result::transpose)
                 .collect::<Result<_, Cancelled>>()?;
@@ -226,21 +226,27 @@ impl<'a> Shop<'a> {
     }
 
     /// What an action changes in a workpiece; none when it can do nothing.
-    pub fn apply(&self, solid: &BitGrid, action: Action) -> Option<BitGrid> {
-        let view = self.view(action.axis)?;
+    ///
+    /// # Errors
+    /// [`Cancelled`] when the user has asked to stop.
+    pub fn apply(&self, solid: &BitGrid, action: Action) -> Result<Option<BitGrid>, Cancelled> {
+        let Some(view) = self.view(action.axis) else { return Ok(None) };
         let site = view.site(self.job, solid);
         let region = match action.action {
             plan::Action::OC => {
-                let tool = self.job.cutters.get(action.tool)?;
+                let Some(tool) = self.job.cutters.get(action.tool) else { return Ok(None) };
                 let excess = site.state.minus(&view.target);
                 self.held_cut(solid, &site, excess, tool)
             }
             plan::Action::UC => {
-                let tool = self.job.cutters.get(action.tool)?;
-                solid.minus(&view.down(&under_cut(self.job, &site, tool)?))
+                let Some(tool) = self.job.cutters.get(action.tool) else { return Ok(None) };
+                match under_cut(self.job, &site, tool, self.ctx)? {
+                    Some(left) => solid.minus(&view.down(&left)),
+                    None => return Ok(None),
+                }
             }
             plan::Action::UF | plan::Action::OF => {
-                let tool = self.job.nozzles.get(action.tool)?;
+                let Some(tool) = self.job.nozzles.get(action.tool) else { return Ok(None) };
                 let mut open = open(&site, tool, self.job.rules.nozzle_dip_mm);
                 if action.clearable {
                     open = self.clear_again(&site, &open);
@@ -248,7 +254,7 @@ impl<'a> Shop<'a> {
                 self.filled(solid, &site, &open, action.action)
             }
         };
-        (!region.is_empty()).then_some(region)
+        Ok((!region.is_empty()).then_some(region))
     }
 
     /// The over-cut of `removable` that lets nothing come loose, in the job's coordinates.
@@ -420,7 +426,7 @@ impl World for Shop<'_> {
     fn make(&self, state: &State, action: &Action) -> Result<Option<(f64, State)>, Cancelled> {
         self.ctx.check()?;
         let solid = state.solid.grid();
-        let Some(region) = self.apply(&solid, *action).filter(|r| r.count() >= self.least) else {
+        let Some(region) = self.apply(&solid, *action)?.filter(|r| r.count() >= self.least) else {
             return Ok(None);
         };
         let cost = self.costs.moved(action.kind(), action.tool, region.count());
