@@ -11,6 +11,10 @@
 //! outside   = max over beads of the distance from the target + half a bead
 //! ```
 //!
+//! What lies behind a facet when the plan ends is what the program answers for: facets behind which the
+//! plan itself leaves nothing (skin) are not looked at, and of a face that is laid only what is
+//! cut after it was. Beads that a later cutter sweeps are gone.
+//!
 //! Guarantees: gouges and excess to a micrometre at the middle of each facet. Not guaranteed: between
 //! the middles; moves of tools whose edge is no ball, flat or bull-nose end, which are left out;
 //! what beads leave open.
@@ -19,7 +23,7 @@ use super::check::motions;
 use super::interpret::{Gait, Motion};
 use super::reach::Reach;
 use super::sweep::samples;
-use crate::base::{Ctx, DVec3, ImagePlane};
+use crate::base::{Ctx, DVec3, Direction, ImagePlane};
 use crate::machine::Tool;
 use crate::mesh::{NearestTriangle, TriMesh};
 use crate::plan::{Job, Plan, StepKind};
@@ -98,21 +102,30 @@ pub fn deviation(
     };
     let mut found = Deviation::default();
     let mut sweeps: Vec<Option<Sweep>> = Vec::new();
+    let mut end = job.initial.clone();
     for (i, step) in plan.steps.iter().enumerate() {
         ctx.check()?;
         let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
         let tool = job.tool(&step.tool).ok_or_else(no_tool)?;
         sweeps.push(match step.kind {
             StepKind::Subtractive => {
+                end.subtract(&step.region);
                 Sweep::of(of_step(i), step.direction.image_plane(), tool, &job.target_mesh)
             }
             StepKind::Additive => {
-                let out = outside(job, plan, i, of_step(i), tool);
-                found.outside_mm = found.outside_mm.max(out);
+                end.union_with(&step.region);
                 None
             }
         });
     }
+    for (i, step) in plan.steps.iter().enumerate() {
+        ctx.check()?;
+        if let Some(tool) = job.tool(&step.tool).filter(|_| step.kind == StepKind::Additive) {
+            let out = outside(job, &sweeps[i..], of_step(i), (tool, step.direction));
+            found.outside_mm = found.outside_mm.max(out);
+        }
+    }
+    end.intersect_with(&job.target);
     let stock = job.cutters.iter().map(|t| t.process.stock_to_leave_mm).fold(0.0, f64::max);
     let mesh = &job.target_mesh;
     let area: f64 = (0..mesh.triangles().len()).map(|t| mesh.area_normal(t).length() / 2.0).sum();
@@ -122,7 +135,7 @@ pub fn deviation(
         triangles.flat_map(|t| facets(mesh.corners(t), side, |_| true)).collect();
     found.facets = facets
         .into_par_iter()
-        .filter_map(|corners| facet(corners, job, plan, &sweeps, stock))
+        .filter_map(|corners| facet(corners, job, (plan, &end), &sweeps, stock))
         .collect();
     ctx.check()?;
     let (mut machined, mut gouged, mut left, mut unreached) = (0.0, 0.0, 0.0, 0.0);
@@ -142,11 +155,12 @@ pub fn deviation(
     Ok(found)
 }
 
-/// A facet's deviation; none for one without area, or whose sides the voxels do not tell apart.
+/// A facet's deviation; none for one without area, whose sides the voxels do not tell apart, or
+/// behind which nothing of the target stands at the end of the plan.
 fn facet(
     corners: [DVec3; 3],
     job: &Job,
-    plan: &Plan,
+    (plan, end): (&Plan, &BitGrid),
     sweeps: &[Option<Sweep>],
     stock: f64,
 ) -> Option<Facet> {
@@ -163,17 +177,20 @@ fn facet(
         return None;
     }
     let (inner, outer) = (voxel(p - normal * aside), voxel(p + normal * aside));
+    if !inner.is_some_and(|v| end.get(v)) {
+        return None;
+    }
     let in_step = |v: Option<[usize; 3]>, kind: StepKind, i: usize| {
         let step = &plan.steps[i];
         step.kind == kind && v.is_some_and(|v| step.region.get(v))
     };
-    let steps = 0..plan.steps.len();
     // What is laid after a cut was not there to be cut into.
-    let laid = steps.clone().rev().find(|i| in_step(inner, StepKind::Additive, *i));
+    let laid = (0..plan.steps.len()).rev().find(|i| in_step(inner, StepKind::Additive, *i));
+    let steps = laid.map_or(0, |l| l + 1)..plan.steps.len();
     let cuts = |i: &usize| in_step(outer, StepKind::Subtractive, *i);
     let machined = steps.clone().any(|i| cuts(&i));
     let mut off = FAR_MM;
-    for i in steps.clone().filter(|i| laid.is_none_or(|l| *i > l)) {
+    for i in steps.clone() {
         if let Some(sweep) = &sweeps[i] {
             off = sweep.distance(p, off);
         }
@@ -210,28 +227,30 @@ impl Sweep {
     }
 }
 
-/// How far the outside of the beads of step `i` that stay lies from the target, mm.
-fn outside(job: &Job, plan: &Plan, i: usize, motions: &[Motion], tool: &Tool) -> f64 {
+/// How far the outside of beads that no later cutter sweeps lies from the target, mm.
+fn outside(
+    job: &Job,
+    later: &[Option<Sweep>],
+    motions: &[Motion],
+    (tool, up): (&Tool, Direction),
+) -> f64 {
     let process = &tool.process;
     let (reach, half) = (4.0 * process.path_mm, process.path_mm / 2.0);
     let nearest = NearestTriangle::new(&job.target_mesh, reach);
-    let down = plan.steps[i].direction.vec() * (process.layer_mm / 2.0);
-    let mut cut_later = BitGrid::new(job.frame.dims);
-    for step in plan.steps[i..].iter().filter(|s| s.kind == StepKind::Subtractive) {
-        cut_later.union_with(&step.region);
-    }
+    let down = up.vec() * (process.layer_mm / 2.0);
     let beads: Vec<&Motion> = motions.iter().filter(|m| m.gait == Gait::Deposit).collect();
     let of_bead = |m: &&Motion| {
         let mut worst: f64 = 0.0;
         for p in samples(m, job.frame.pitch) {
             let middle = p - down;
-            let voxel = job.frame.voxel_at(middle);
-            if voxel.is_some_and(|v| cut_later.get(v)) {
-                continue;
-            }
-            let within = voxel.is_some_and(|v| job.target.get(v));
+            let within = job.frame.voxel_at(middle).is_some_and(|v| job.target.get(v));
             let away = nearest.query(middle).map_or(reach, |q| q.distance);
-            worst = worst.max(half + if within { -away } else { away });
+            let out = half + if within { -away } else { away };
+            // Most beads are inside; what is swept takes longer to tell.
+            let is_cut = || later.iter().flatten().any(|s| s.distance(middle, FAR_MM) < 0.0);
+            if out > worst && !is_cut() {
+                worst = out;
+            }
         }
         worst
     };
@@ -348,6 +367,34 @@ mod tests {
             triangles.extend(part.triangles().iter().map(|t| t.map(|v| v + shift)));
         }
         TriMesh::new(vertices, triangles).unwrap()
+    }
+
+    /// What a cut leaves is not asked of a face that is laid on it later, nor of a bead that a later cut
+    /// sweeps that it be near the target: both once counted as 2 mm off.
+    #[test]
+    fn what_is_laid_after_a_cut_or_swept_after_it_was_laid_is_not_held_against_them() {
+        let block = |p: DVec3| p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 12.0;
+        let top: fn(DVec3) -> bool = |p| p.z > 6.0;
+        let again: fn(DVec3) -> bool =
+            |p| p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z > 6.0 && p.z < 9.0;
+        let away: fn(DVec3) -> bool = |p| p.x > 12.0 && p.z > 6.0;
+        let steps = [
+            (StepKind::Subtractive, DVec3::Z, top),
+            (StepKind::Additive, DVec3::Z, again),
+            (StepKind::Subtractive, DVec3::Z, away),
+        ];
+        let mut w = world("generic-5axis", 0.5, DVec3::new(24.0, 20.0, 14.0), block, &steps);
+        let part = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
+        w.job.target_mesh = joined(&[
+            part([2.0, 2.0, 0.0], [22.0, 18.0, 6.0]),
+            part([2.0, 2.0, 6.0], [12.0, 18.0, 9.0]),
+        ]);
+        let d = measured(&w);
+        let laid = |f: &&Facet| f.normal.z > 0.9 && f.corners[0].z > 8.0;
+        assert!(d.facets.iter().filter(laid).count() > 100);
+        assert!(!d.facets.iter().filter(laid).any(|f| f.machined));
+        assert!(d.facets.iter().any(|f| f.machined) && d.left == 0.0, "{} left", d.left);
+        assert!(d.outside_mm < 1.0, "{} mm", d.outside_mm);
     }
 
     /// What fills a slot in a wall goes with a later step; meanwhile it kept the cutter off the wall
