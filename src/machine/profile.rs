@@ -31,11 +31,15 @@ pub struct Machine {
 
 impl Machine {
     /// Tools of one kind, shortest reach first, equal reaches in the order of the file, after
-    /// those that always take part the others: the order in which a planner tries them.
+    /// those that always take part the others, tapered ones last: the order in which a planner tries
+    /// them.
     pub fn tools_of(&self, kind: ToolKind) -> Vec<&Tool> {
         let mut tools: Vec<&Tool> = self.tools.iter().filter(|t| t.kind == kind).collect();
         let reach = |t: &Tool| t.reach(t.tip_radius());
-        tools.sort_by(|a, b| a.taken.cmp(&b.taken).then(reach(a).total_cmp(&reach(b))));
+        tools.sort_by(|a, b| {
+            let rank = |t: &Tool| (t.taken, t.is_tapered());
+            rank(a).cmp(&rank(b)).then(reach(a).total_cmp(&reach(b)))
+        });
         tools
     }
 

@@ -136,6 +136,12 @@ impl Tool {
         self.sections.iter().filter(|s| s.active).map(|s| &s.shape)
     }
 
+    /// Whether the edge widens above its tip in a straight line, as that of a tapered cutter does.
+    pub fn is_tapered(&self) -> bool {
+        let widens = |s: &Section| matches!(s.shape, Shape::Frustum { r0, r1, .. } if r0 < r1);
+        self.sections.iter().any(|s| s.active && widens(s))
+    }
+
     /// Largest radius of the active part, mm; 0 without one.
     pub fn active_radius(&self) -> f64 {
         self.active().map(Shape::max_radius).fold(0.0, f64::max)

@@ -55,6 +55,10 @@ const LEAST_STEP_SHARE: f64 = 0.1;
 /// a wall's edge that is far exceeded, over a slope hardly ever, and less than half of what counts as a gouge.
 const CORNER_MM: f64 = 0.02;
 
+/// Positions of a touched-up way so near each other are one, mm: what one takes off beyond the other is
+/// less than what a position is worth, and programs need not tell apart moves shorter than this.
+const NO_MOVE_MM: f64 = 0.02;
+
 /// What a step works on.
 pub(super) struct Work<'a> {
     pub job: &'a Job,
@@ -578,11 +582,17 @@ impl<'a> Stage<'a> {
         let deepest = way.iter().map(|t| t.z).fold(f64::INFINITY, f64::min);
         let step = self.process.step_down.max(LEAST_STEP_SHARE * self.lattice.s);
         let mut level = top;
+        let mut last: Option<DVec3> = None;
         loop {
             level = (level - step).max(deepest);
             for (k, tip) in way.iter().enumerate() {
                 let Some(cell) = self.lattice.cell(tip.truncate()) else { continue };
                 let (aside, z) = (tip.truncate() - self.lattice.uv(cell), tip.z.max(level));
+                let to = tip.truncate().extend(z);
+                if last.is_some_and(|l| l.distance(to) < NO_MOVE_MM) {
+                    continue;
+                }
+                last = Some(to);
                 if self.at.is_none() {
                     self.go(MoveKind::Rapid, cell, aside, self.safe, 0.0);
                     let near = (top + CLEARANCE_MM).max(z);

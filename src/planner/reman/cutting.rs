@@ -73,9 +73,10 @@ pub fn cut_blocks(
     let alone = cutter.cutters.len() == setting.cutters().len();
     cutter.cut(samples, alone, ctx)?;
     if !alone && !cutter.cutting.unreached.is_empty() {
-        cutter.cutters = setting.cutters();
+        cutter.cutters = setting.cutters_by_maps();
         cutter.cut(samples, true, ctx)?;
         if setting.cuts_closely() {
+            cutter.cutters = setting.cutters();
             cutter.cut_closely(samples, ctx)?;
         }
     }
