@@ -178,11 +178,6 @@ fn follows(motions: &[Motion], path: &Toolpath, line: usize) -> Option<Finding> 
         let is_next =
             |w: &Motion| is_short && next.is_some_and(|n| w.to.distance(n) < w.to.distance(m.tip));
         let begins = |w: &Motion| w.from.zip(from).is_none_or(|(a, b)| same(a, b));
-        // Nor is one so short that was written in place of another.
-        let stays = |w: &&Motion| w.from.is_some_and(|f| same(f, w.to)) && !same(w.to, m.tip);
-        while !is_short && made.peek().is_some_and(stays) {
-            made.next();
-        }
         match made.peek() {
             Some(w) if same(w.to, m.tip) && begins(w) && !is_next(w) => {
                 made.next();

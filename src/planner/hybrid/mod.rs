@@ -32,7 +32,8 @@
 //!   take away again (`cutting::clearable`). What needs other supports it leaves out, where the
 //!   paper's leaves supports behind in cavities that no tool looks into.
 //! - The goal test (Eq. 38) does not count skin: the rules of a plan do not either. What of it can
-//!   be reached is cut and filled after the goal, as long as that is worth a step.
+//!   be reached is cut and filled after the goal, as long as that is worth a step or half of what is
+//!   off.
 //! - The cost of a plan charges what it leaves within δ, and skin, as if it were moved, which makes
 //!   w = 0 exact.
 //!
