@@ -419,6 +419,35 @@ fn the_little_that_is_left_of_a_goal_is_taken_as_well() {
     assert_eq!(moved.iter().sum::<usize>(), 10 * 10 * 2 + 1);
 }
 
+/// A cutter a hundred times as wide as the part touches it in more places than can be tried: its bound
+/// looks at fewer cells, and bounds from below all the same.
+#[test]
+fn the_bound_of_a_cutter_larger_than_the_part_is_found_and_a_bound() {
+    let dims = [6, 6, 8];
+    let pocket = |v: [usize; 3]| v[0] > 1 && (2..4).contains(&v[2]);
+    let target = BitGrid::from_fn(dims, |v| !pocket(v));
+    let job = job(BitGrid::from_fn(dims, |_| true), target);
+    let tool = cutter("wide", 200.5, 300.5, 400.0);
+    let view = View::all(&job).into_iter().find(|v| v.direction == Direction::Z).unwrap();
+    let site = view.site(&job, &job.initial);
+    let least = least_collateral(&site, &BitGrid::from_fn(dims, pocket), &tool);
+    // Of every hidden column what the best contact meets over it, by definition: four voxels a column
+    // under the disc, two more where there is no pocket.
+    let met = |[x, y]: [i64; 2]| {
+        let columns = (0..36).map(|c| [c % 6, c / 6]);
+        let under = columns.filter(|[i, j]| {
+            DVec3::new((i - x) as f64, (j - y) as f64, 0.0).length() <= tool.active_radius()
+        });
+        under.map(|[i, _]| if i > 1 { 4 } else { 6 }).sum::<usize>()
+    };
+    let around = || (-200..=200).flat_map(|j| (-200..=200).map(move |i| [i, j]));
+    let touching = |[i, j]: &[i64; 2]| ((i * i + j * j) as f64).sqrt() <= tool.active_radius();
+    let best = |x: i64, y: i64| around().filter(touching).map(|[i, j]| met([x + i, y + j])).min();
+    let want =
+        (2..6).flat_map(|x| (0..6).map(move |y| (x, y))).filter_map(|(x, y)| best(x, y)).max();
+    assert!(least <= want.unwrap(), "{least} of {want:?}");
+}
+
 /// What holds the part stands in the way of a contact as often as each of its points says, though
 /// only the highest of each place are kept.
 #[test]

@@ -47,6 +47,10 @@ const RADII_PER_CELL: f64 = 8.0;
 /// Voxels whose least collision bounds that of an under-cut from below.
 const BOUND_SAMPLES: usize = 12;
 
+/// Cells looked at for that bound, over all contacts: a second or two. Usual cutters stay a hundredfold
+/// below it; one larger than the part has more contacts than it has cells for, and no end of them.
+const BOUND_CELLS: usize = 50_000_000;
+
 /// The tool's lower surface over the cells around its tip.
 pub struct Footprint {
     /// (i, j, height over the tip), nearest first.
@@ -360,6 +364,8 @@ pub fn least_collateral(site: &Site, hidden: &BitGrid, tool: &Tool) -> usize {
         .map(|(i, j, _)| (i, j, tool.lower_surface(((i * i + j * j) as f64).sqrt() * pitch)))
         .collect();
     let contacts = Footprint::new(tool, pitch, [1; 3]).contacts;
+    // The nearest of them, the fewer the more contacts there are.
+    let cells = &cells[..cells.len().min(BOUND_CELLS / BOUND_SAMPLES / contacts.len().max(1))];
     let stride = needs.len().div_ceil(BOUND_SAMPLES).max(1);
     let [nx, ny, nz] = keep.dims();
     // Of each column looked at, the solid voxels from every layer up.
@@ -373,7 +379,7 @@ pub fn least_collateral(site: &Site, hidden: &BitGrid, tool: &Tool) -> usize {
     };
     let mut met = |[x, y]: [i64; 2], tip: f64, limit: usize| {
         let mut sum = 0;
-        for (i, j, z) in &cells {
+        for (i, j, z) in cells {
             let (x, y) = (x + i, y + j);
             if x < 0 || y < 0 || x >= nx as i64 || y >= ny as i64 || !z.is_finite() {
                 continue;
