@@ -155,8 +155,9 @@ fn as_long(figures: &StepFigures, path: &Toolpath, line: usize) -> Option<Findin
     })
 }
 
-/// Working moves one by one: each begins and ends where the path's does. Moves shorter than what is
-/// written may be left out.
+/// Working moves one by one: each begins and ends where the path's does. Moves of the path no longer
+/// than what is written may be left out, so the program may stand before any of several moves: all
+/// of them are carried along, since the one that lies nearest need not be the one that was written.
 fn follows(motions: &[Motion], path: &Toolpath, line: usize) -> Option<Finding> {
     let same = |a: DVec3, b: DVec3| a.distance(b) <= WRITTEN_MM;
     let (gait, what) = match path.kind {
@@ -168,34 +169,49 @@ fn follows(motions: &[Motion], path: &Toolpath, line: usize) -> Option<Finding> 
         StepKind::Additive => k == MoveKind::Deposit,
     };
     let found = |line: usize, message: String| Finding { line, rule: Rule::Volume, message };
-    let mut made = motions.iter().filter(|m| m.gait == gait).peekable();
-    let mut planned = path.moves.iter().enumerate().filter(|(_, m)| works(m.kind)).peekable();
-    while let Some((i, m)) = planned.next() {
-        let from = i.checked_sub(1).map(|before| path.moves[before].tip);
-        let is_short = from.is_some_and(|f| same(f, m.tip));
-        // One that was left out, where the next one is hardly longer than what is written.
-        let next = planned.peek().map(|(_, n)| n.tip);
-        let is_next =
-            |w: &Motion| is_short && next.is_some_and(|n| w.to.distance(n) < w.to.distance(m.tip));
-        let begins = |w: &Motion| w.from.zip(from).is_none_or(|(a, b)| same(a, b));
-        match made.peek() {
-            Some(w) if same(w.to, m.tip) && begins(w) && !is_next(w) => {
-                made.next();
+    let from = |i: usize| i.checked_sub(1).map(|before| path.moves[before].tip);
+    let planned: Vec<(Option<DVec3>, DVec3)> = path
+        .moves
+        .iter()
+        .enumerate()
+        .filter(|(_, m)| works(m.kind))
+        .map(|(i, m)| (from(i), m.tip))
+        .collect();
+    let is_short = |&(from, to): &(Option<DVec3>, DVec3)| from.is_some_and(|f| same(f, to));
+    let is_made = |&(from, to): &(Option<DVec3>, DVec3), w: &Motion| {
+        same(w.to, to) && w.from.zip(from).is_none_or(|(a, b)| same(a, b))
+    };
+    // The moves of the path that may come next, rising.
+    let mut next = vec![0];
+    for w in motions.iter().filter(|m| m.gait == gait) {
+        let mut after = Vec::new();
+        let mut seen = 0;
+        for first in &next {
+            let mut i = seen.max(*first);
+            while let Some(p) = planned.get(i) {
+                if is_made(p, w) {
+                    after.push(i + 1);
+                }
+                i += 1;
+                if !is_short(p) {
+                    break;
+                }
             }
-            _ if is_short => {}
-            Some(w) => {
-                let message =
-                    format!("{what} to ({:.3}), the plan's path has one to ({:.3})", w.to, m.tip);
-                return Some(found(w.line, message));
-            }
-            None => {
-                let message = format!("{what} to ({:.3}) is missing in this step", m.tip);
-                return Some(found(line, message));
-            }
+            seen = i;
         }
+        if after.is_empty() {
+            let wanted = next.last().and_then(|i| planned.get(*i));
+            let but = match wanted {
+                Some((_, to)) => format!(", the plan's path has one to ({to:.3})"),
+                None => " that the plan's path does not have".into(),
+            };
+            return Some(found(w.line, format!("{what} to ({:.3}){but}", w.to)));
+        }
+        next = after;
     }
-    let more = made.next()?;
-    Some(found(more.line, format!("{what} to ({:.3}) that the plan's path does not have", more.to)))
+    let last = next.last().copied().unwrap_or_default();
+    let (_, to) = planned[last..].iter().find(|p| !is_short(p))?;
+    Some(found(line, format!("{what} to ({to:.3}) is missing in this step")))
 }
 
 #[cfg(test)]
@@ -205,7 +221,7 @@ mod tests {
     use crate::toolpath::{Figures, Move};
 
     /// A move of 0.3 µm that rounding leaves out, before one hardly longer than what is written: the
-    /// program's next move was once taken for it.
+    /// program's next move was once taken for it, and later, where it was written, for the next.
     #[test]
     fn short_moves_left_out_keep_no_others_from_their_own() {
         let tips = [
@@ -251,5 +267,9 @@ mod tests {
         assert_eq!(follows(&program(&[0, 1, 2, 3, 4, 5]), &path, 1), None);
         let astray = follows(&program(&[0, 1, 3, 5]), &path, 1).unwrap();
         assert_eq!(astray.line, 4);
+        let early = follows(&program(&[0, 1, 3, 4]), &path, 1).unwrap();
+        assert_eq!((early.line, early.message.contains("missing")), (1, true));
+        let late = follows(&program(&[0, 1, 2, 3, 4, 5, 0]), &path, 1).unwrap();
+        assert_eq!((late.line, late.message.contains("does not have")), (7, true));
     }
 }
