@@ -9,7 +9,7 @@
 
 use super::bridges::bridges;
 use super::coarse::Coarse;
-use super::reach::{Reach, bounds, bounds_along, choose, gains};
+use super::reach::{Reach, SHORTER_TOOL_SHARE, bounds, bounds_along, choose, gains};
 use super::setting::Setting;
 use crate::access::{Close, Scene, over_cut};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
@@ -94,6 +94,32 @@ pub fn repeated(
 ) -> Result<Cutting, Cancelled> {
     let mut cutter = Cutter::new(setting, coarse, removable, deep);
     cutter.repeat(ways, true, ctx)?;
+    Ok(cutter.cutting)
+}
+
+/// One cut from the initial part along a direction, as held: with the slimmest of the cutters, or with the
+/// longest of the usual ones where that takes nearly as much.
+pub fn cut_along(
+    setting: &Setting,
+    coarse: &Coarse,
+    removable: &BitGrid,
+    (direction, holding): (Direction, usize),
+    ctx: &Ctx,
+) -> Result<Cutting, Cancelled> {
+    let mut cutter = Cutter::new(setting, coarse, removable, removable);
+    let fixed = setting.fixed(holding, &cutter.cutting.state);
+    let cut = |tool: &&Tool| {
+        ctx.check()?;
+        Ok(cutter.held_cut(removable.clone(), &fixed, (*tool, direction), How::ByMaps))
+    };
+    let longest = Tool::longest(setting.usual_cutters());
+    let tools: Vec<&Tool> = longest.into_iter().chain(setting.cutters_by_maps().last()).collect();
+    let cuts: Vec<BitGrid> = tools.par_iter().map(cut).collect::<Result<_, Cancelled>>()?;
+    let most = cuts.iter().map(BitGrid::count).max().unwrap_or(0);
+    let enough = |c: &BitGrid| c.count() as f64 >= SHORTER_TOOL_SHARE * most as f64;
+    if let Some((tool, region)) = tools.into_iter().zip(cuts).find(|(_, c)| most > 0 && enough(c)) {
+        cutter.push(region, tool, direction, holding);
+    }
     Ok(cutter.cutting)
 }
 

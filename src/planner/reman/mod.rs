@@ -71,6 +71,7 @@ mod local;
 #[cfg(test)]
 mod local_tests;
 mod locals;
+mod pits;
 mod printed_first;
 mod printing;
 mod reach;
@@ -100,6 +101,7 @@ use finish::finished;
 use global::{choose, global_route, most_promising};
 use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
+use pits::with_pits;
 use printed_first::{Leaves, glimpse, printed_first};
 use report::Clock;
 pub use report::Report;
@@ -363,6 +365,7 @@ fn one_round(
     if options.finish_mm > 0.0 {
         best = finished(&mut run, best)?;
     }
+    best = with_pits(&mut run, best)?;
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;

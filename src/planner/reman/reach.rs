@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 /// A shorter tool is taken when it reaches this share of what the best tool reaches; the rest is
 /// left to a later block. Lower means more tool changes, higher means longer tools everywhere.
-const SHORTER_TOOL_SHARE: f64 = 0.97;
+pub const SHORTER_TOOL_SHARE: f64 = 0.97;
 
 /// Directions looked at together, without what those before them reach: more leave more to each,
 /// fewer keep threads waiting for the last.

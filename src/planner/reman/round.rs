@@ -25,6 +25,7 @@ pub const RESIDUAL_WEIGHT: usize = 10;
 const COMPLETION_SHARE: f64 = 0.05;
 
 /// One round: planes, and the blocks made under them.
+#[derive(Clone)]
 pub struct Attempt {
     pub clips: Vec<Clip>,
     pub volumes: Volumes,

@@ -102,6 +102,26 @@ impl<'a> Setting<'a> {
         distance_within(&self.old_of(kept), self.job.rules.tolerance_mm / self.job.frame.pitch)
     }
 
+    /// What of a set lies beyond the skin, found voxel by voxel: for sets that are small beside the grid.
+    pub fn beyond_skin(&self, some: &BitGrid, kept: &BitGrid) -> BitGrid {
+        let radius = self.job.rules.tolerance_mm / self.job.frame.pitch;
+        let old = self.old_of(kept);
+        let n = radius.floor() as i64;
+        let all =
+            (-n..=n).flat_map(|x| (-n..=n).flat_map(move |y| (-n..=n).map(move |z| [x, y, z])));
+        let near: Vec<[i64; 3]> = all
+            .filter(|o| (o.iter().map(|c| c * c).sum::<i64>() as f64) <= radius * radius)
+            .collect();
+        let mut beyond = some.clone();
+        for v in some.iter_ones() {
+            let at = |o: &[i64; 3]| std::array::from_fn(|a| v[a] as i64 + o[a]);
+            if near.iter().any(|o| old.get_or_empty(at(o))) {
+                beyond.set(v, false);
+            }
+        }
+        beyond
+    }
+
     /// A holding that begins in `state`: turned over, the part stands on what is then its top.
     pub fn held(&self, holding: usize, state: &BitGrid) -> Holding {
         if holding == 0 { self.holdings[0] } else { turned_over(state, &self.job.frame) }
@@ -191,6 +211,21 @@ fn turned_over(solid: &BitGrid, frame: &Frame) -> Holding {
 mod tests {
     use super::*;
     use crate::planner::reman::local_tests::job_of;
+
+    #[test]
+    fn what_lies_beyond_the_skin_is_found_voxel_by_voxel() {
+        let frame = Frame { pitch: 0.3, dims: [24, 20, 17], origin: DVec3::ZERO };
+        let part = BitGrid::from_fn(frame.dims, |v| (v[0] * 7 + v[1] * 5 + v[2] * 3) % 83 == 0);
+        let some = BitGrid::from_fn(frame.dims, |v| (v[0] + v[1] * 2 + v[2]) % 3 != 0);
+        for tolerance_mm in [0.2, 0.3, 0.55, 0.9] {
+            let mut job = job_of(frame, part.clone(), part.clone(), |_| true);
+            job.rules.tolerance_mm = tolerance_mm;
+            let setting = Setting::new(&job);
+            let want = some.minus(&setting.skin(&part));
+            assert!(!want.is_empty() && want != some || tolerance_mm < 0.3);
+            assert_eq!(setting.beyond_skin(&some, &part), want, "{tolerance_mm}");
+        }
+    }
 
     #[test]
     fn tools_of_the_last_resort_take_part_only_there() {

@@ -1,0 +1,617 @@
+//! Pits: what no nozzle gets at beside that which stands is opened up and printed with it.
+//!
+//! Method. What a finished plan misses falls into patches of a few millimetres. For a patch P and a grid
+//! axis d along which something carries it, the pit is all that stands over the patch within a cone of
+//! half angle α:
+//!
+//! ```text
+//! pit(P, d, α) = { q : (q − p)·d tan α > |(q − p) × d| − r for some p in P },  r: room for the tip
+//! ```
+//!
+//! Patches that ask for little along the same axis get their pits together, by one cut; then what is
+//! missing there is printed, along the same axis first, where the nozzle stands in the open. Pits that
+//! cost little come before large ones, narrow before wide. Where not all of them help, those that do are
+//! made once more alone.
+//!
+//! This is a local plane (W2V Sec. 4.2) bent into a cone: a plane through a patch in a crease gives up
+//! a slice of the part, a pit a few beads, and mostly of what was printed.
+//!
+//! Along other directions what tools reach is told with a margin of half a voxel, which leaves crumbs on
+//! a pit's walls: of forty tried on a real part two helped.
+//!
+//! Guarantees: those of cuts and deposits; a plan with pits ranks higher and leaves less than the one
+//! without, and gives up no more for it than further planes may. Not guaranteed: that the pits are the
+//! smallest, or their order the best.
+
+use super::cutting::cut_along;
+use super::laying::{Way, ways_along};
+use super::printing::{Wanted, print_blocks};
+use super::round::Attempt;
+use super::setting::Setting;
+use super::{Run, Start};
+use crate::access::CarrierTable;
+use crate::base::{Ctx, DVec2, DVec3, Direction};
+use crate::plan::{Job, Plan, Step, StepKind, end_state};
+use crate::planner::PlanError;
+use crate::region::Volumes;
+use crate::voxel::{BitGrid, Connectivity, components, flood};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Edge of the cells into which what is missing is divided, mm: about what one nozzle fills.
+const PATCH_MM: f64 = 4.0;
+
+/// Tangents of the cones' half angles, 45° to 80°: the slimmest nozzle widens by 20°, but a deposit on a
+/// pit's wall wants room beside its tip as well.
+const OPENINGS: [f64; 3] = [1.0, 2.1, 5.7];
+
+/// What a pit may give up for a voxel that is missing: small pits of every opening come before large
+/// ones.
+const PRICES: [f64; 5] = [10.0, 100.0, 1e3, 1e4, f64::INFINITY];
+
+/// A patch's pit may be so many times as large as its least one to be made with others.
+const NEARLY_LEAST: f64 = 1.5;
+
+/// Material printed anew counts so much of what is given up.
+const PRINTED_WEIGHT: f64 = 0.1;
+
+/// A plan that leaves more than so many times what the rules allow gets no pits: they would not make it
+/// valid.
+const WITHIN: f64 = 1.5;
+
+/// Tries in vain, one after the other, before an end.
+const PATIENCE: usize = 8;
+
+/// Tries at most: each costs a cut and a block or two.
+const MOST_TRIES: usize = 60;
+
+/// Patches nearer each other than this are one that was tried before, mm.
+const SAME_PLACE_MM: f64 = 1.0;
+
+/// A little of what a plan misses.
+struct Patch {
+    voxels: Vec<[usize; 3]>,
+    middle: DVec3,
+    radius: f64,
+}
+
+/// The plan with pits for what it misses, where they leave less.
+pub fn with_pits(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> {
+    let job = run.start.setting.job;
+    let within = plain.left() as f64 <= WITHIN * job.rules.deviation * job.target.count() as f64;
+    if plain.deficit.is_empty() || !within {
+        return Ok(plain);
+    }
+    let setting = run.start.setting.with_last_resort();
+    let start = run.start.in_setting(&setting);
+    let kept = plain.volumes.reused.count();
+    let mut digging = Digging::new(&start, plain.clone());
+    let mut best = plain;
+    while !digging.now.deficit.is_empty() {
+        let Some(made) = digging.next(run.ctx)? else { break };
+        if made.rank(job) < best.rank(job) && made.left() < best.left() {
+            best = made.clone();
+        }
+        digging.go_on(made);
+    }
+    run.clock.lap("blocks");
+    let given_up = kept.saturating_sub(best.volumes.reused.count());
+    if given_up > 0 {
+        run.report.notes.push(format!(
+            "{:.1} mm³ of the initial part are given up in pits, so that nozzles get at what was \
+             missing.",
+            given_up as f64 * job.frame.voxel_volume()
+        ));
+    }
+    Ok(best)
+}
+
+/// Patches of what is missing: its pieces, cut along a lattice of cells.
+fn patches(job: &Job, missing: &BitGrid) -> Vec<Patch> {
+    let frame = &job.frame;
+    let pieces = components(missing, Connectivity::Corner26);
+    let cell = (PATCH_MM / frame.pitch).ceil().max(1.0) as usize;
+    let mut of: BTreeMap<(u32, [usize; 3]), Vec<[usize; 3]>> = BTreeMap::new();
+    for v in missing.iter_ones() {
+        if let Some(piece) = pieces.label_of(v) {
+            of.entry((piece, v.map(|c| c / cell))).or_default().push(v);
+        }
+    }
+    let patch = |voxels: Vec<[usize; 3]>| {
+        let at = |v: &[usize; 3]| frame.center(*v);
+        let middle = voxels.iter().map(at).sum::<DVec3>() / voxels.len() as f64;
+        let radius = voxels.iter().map(|v| at(v).distance(middle)).fold(0.0, f64::max);
+        Patch { voxels, middle, radius: radius + frame.pitch / 2.0 }
+    };
+    of.into_values().map(patch).collect()
+}
+
+/// A plan, and what was tried to have it miss less.
+struct Digging<'s, 'a> {
+    start: &'s Start<'a>,
+    ways: Vec<Way<'a>>,
+    carriers: Vec<CarrierTable>,
+    now: Attempt,
+    state: BitGrid,
+    patches: Vec<Patch>,
+    /// Of [`OPENINGS`] and [`PRICES`].
+    opening: usize,
+    price: usize,
+    /// By opening, patch and way; empty before they are asked for.
+    costs: [Vec<Vec<f64>>; OPENINGS.len()],
+    /// Opening, way and place of what was tried.
+    tried: Vec<(usize, usize, DVec3)>,
+    /// Tries in all, and in vain since the last that left less.
+    tries: usize,
+    vain: usize,
+    /// The least that may be kept of the initial part, in voxels.
+    least_kept: usize,
+}
+
+impl<'s, 'a> Digging<'s, 'a> {
+    fn new(start: &'s Start<'a>, plain: Attempt) -> Self {
+        let setting: &Setting<'a> = start.setting;
+        let holdings = 0..setting.holdings.len();
+        let mut directions: Vec<Direction> = Vec::new();
+        for d in holdings.flat_map(|h| setting.axes(h)) {
+            if !directions.contains(&d) {
+                directions.push(d);
+            }
+        }
+        let ways: Vec<Way<'a>> = match setting.nozzles().last() {
+            Some(nozzle) => ways_along(setting, &directions, nozzle),
+            None => Vec::new(),
+        };
+        let overhang = setting.job.rules.overhang_deg;
+        let worth = plain.worth(setting.job).unwrap_or(usize::MAX);
+        let carriers = ways.iter().map(|w| CarrierTable::new(w.direction, overhang)).collect();
+        let state = BitGrid::new(setting.job.frame.dims);
+        let (patches, tried) = (Vec::new(), Vec::new());
+        let mut digging = Digging {
+            start,
+            ways,
+            carriers,
+            now: plain.clone(),
+            state,
+            patches,
+            opening: 0,
+            price: 0,
+            costs: Default::default(),
+            tried,
+            tries: 0,
+            vain: 0,
+            least_kept: plain.volumes.reused.count().saturating_sub(worth),
+        };
+        digging.go_on(plain);
+        digging
+    }
+
+    /// Goes on from a plan, narrow pits first.
+    fn go_on(&mut self, now: Attempt) {
+        let job = self.start.setting.job;
+        let plan = Plan { holdings: Vec::new(), steps: now.steps.clone() };
+        self.state = end_state(job, &plan).state;
+        self.patches = patches(job, &now.deficit);
+        self.now = now;
+        (self.opening, self.price) = (0, 0);
+        self.costs = Default::default();
+    }
+
+    /// The plan with the next pits that leave less; none when all were tried.
+    fn next(&mut self, ctx: &Ctx) -> Result<Option<Attempt>, PlanError> {
+        while self.price < PRICES.len() && !self.is_enough(ctx) {
+            if self.costs[self.opening].is_empty() {
+                self.costs[self.opening] = self.costs_of(OPENINGS[self.opening], ctx)?;
+            }
+            let Some((way, chosen)) = self.choose() else {
+                self.opening += 1;
+                if self.opening == OPENINGS.len() {
+                    // Large pits are for leaving nothing at all, or no more than the rules allow.
+                    let hopeless = self.costs[0].iter().any(|c| c.iter().all(|c| c.is_infinite()));
+                    if hopeless && self.now.is_valid(self.start.setting.job) {
+                        return Ok(None);
+                    }
+                    (self.opening, self.price) = (0, self.price + 1);
+                }
+                continue;
+            };
+            let places = chosen.iter().map(|p| (self.opening, way, self.patches[*p].middle));
+            self.tried.extend(places.collect::<Vec<_>>());
+            let mut chosen = chosen;
+            // Those that leave less are made once more without the others.
+            while !chosen.is_empty() && !self.is_enough(ctx) {
+                (self.tries, self.vain) = (self.tries + 1, self.vain + 1);
+                let (made, good) = self.tried(way, &chosen, ctx)?;
+                match made {
+                    Some(made) if good.len() == chosen.len() => {
+                        self.vain = 0;
+                        return Ok(Some(made));
+                    }
+                    _ => chosen = good,
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn is_enough(&self, ctx: &Ctx) -> bool {
+        self.tries >= MOST_TRIES || self.vain >= PATIENCE || ctx.out_of_time()
+    }
+
+    /// Pits over some patches: the plan with them, if it leaves less, and the patches near which it does.
+    fn tried(
+        &self,
+        way: usize,
+        chosen: &[usize],
+        ctx: &Ctx,
+    ) -> Result<(Option<Attempt>, Vec<usize>), PlanError> {
+        let of = |p: &usize| self.patches[*p].voxels.iter().copied();
+        let over: Vec<[usize; 3]> = chosen.iter().flat_map(of).collect();
+        let pit = self.pit(&over, self.ways[way].direction, OPENINGS[self.opening]);
+        let Some(made) = self.made((&pit, &over), way, ctx)? else { return Ok((None, Vec::new())) };
+        let mut around = pit.clone();
+        over.iter().for_each(|v| around.set(*v, true));
+        let around = components(&around.grown(), Connectivity::Corner26);
+        let mut counts = vec![[0usize; 2]; around.count()];
+        for (k, deficit) in [&self.now.deficit, &made.deficit].into_iter().enumerate() {
+            for v in deficit.iter_ones() {
+                if let Some(l) = around.label_of(v) {
+                    counts[l as usize][k] += 1;
+                }
+            }
+        }
+        let is_good = |p: &usize| {
+            let label = self.patches[*p].voxels.first().and_then(|v| around.label_of(*v));
+            label.is_some_and(|l| counts[l as usize][1] < counts[l as usize][0])
+        };
+        let good: Vec<usize> = chosen.iter().copied().filter(is_good).collect();
+        let (before, after) = (self.now.deficit.count(), made.deficit.count());
+        tracing::debug!(
+            direction = ?self.ways[way].direction,
+            opening = OPENINGS[self.opening], price = PRICES[self.price],
+            patches = chosen.len(),
+            good = good.len(),
+            pit = pit.count(),
+            before,
+            after,
+            reused = made.volumes.reused.count(),
+            "pit"
+        );
+        let is_less = after < before && made.volumes.reused.count() >= self.least_kept;
+        let made = is_less.then_some(made);
+        // None of it can be told apart.
+        let good = if good.len() == chosen.len() && made.is_none() { Vec::new() } else { good };
+        Ok((made, good))
+    }
+
+    /// The way along which most is missing in patches whose pits are hardly larger than their least,
+    /// and these.
+    fn choose(&self) -> Option<(usize, Vec<usize>)> {
+        let costs = &self.costs[self.opening];
+        let is_new = |p: usize, way: usize| {
+            let at = self.patches[p].middle;
+            let is_there = |(opening, w, place): &(usize, usize, DVec3)| {
+                (*opening, *w) == (self.opening, way) && place.distance(at) < SAME_PLACE_MM
+            };
+            !self.tried.iter().any(is_there)
+        };
+        // Of each patch the ways that are left to try, at no more than the price.
+        let open: Vec<Vec<(usize, f64)>> = (0..costs.len())
+            .map(|p| {
+                let most = PRICES[self.price] * self.patches[p].voxels.len() as f64;
+                let is_open = |way: usize| {
+                    let cost = costs[p][way];
+                    cost.is_finite() && cost <= most && is_new(p, way)
+                };
+                (0..self.ways.len()).filter(|w| is_open(*w)).map(|w| (w, costs[p][w])).collect()
+            })
+            .collect();
+        let budget = (self.now.volumes.reused.count().saturating_sub(self.least_kept)) as f64;
+        let along = |way: usize| -> Vec<usize> {
+            let near = |p: usize| {
+                let least = open[p].iter().map(|(_, c)| *c).fold(f64::INFINITY, f64::min);
+                let of_way = open[p].iter().find(|(w, _)| *w == way);
+                of_way.filter(|(_, c)| *c <= NEARLY_LEAST * least + 1.0).map(|(_, c)| (*c, p))
+            };
+            let mut near: Vec<(f64, usize)> = (0..costs.len()).filter_map(near).collect();
+            near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            // As many as may be given up together.
+            let together = near.iter().scan(0.0, |sum, (cost, p)| {
+                *sum += cost;
+                (*sum <= budget).then_some(*p)
+            });
+            together.collect()
+        };
+        let value = |chosen: &[usize]| -> usize {
+            chosen.iter().map(|p| self.patches[*p].voxels.len()).sum()
+        };
+        let mut best: Option<(usize, Vec<usize>)> = None;
+        for way in 0..self.ways.len() {
+            let chosen = along(way);
+            if value(&chosen) > best.as_ref().map_or(0, |(_, c)| value(c)) {
+                best = Some((way, chosen));
+            }
+        }
+        best
+    }
+
+    /// About how many voxels a patch's pit along every way would give up; infinite where nothing
+    /// carries the patch.
+    fn costs_of(&self, opening: f64, ctx: &Ctx) -> Result<Vec<Vec<f64>>, PlanError> {
+        let coarse = self.start.coarse;
+        let frame = &coarse.job.frame;
+        let scale = (frame.pitch / self.start.setting.job.frame.pitch).powi(3);
+        let old = coarse.most(&self.now.volumes.reused);
+        let solid = coarse.most(&self.state);
+        let cells: Vec<(DVec3, f64)> = solid
+            .iter_ones()
+            .map(|v| (frame.center(v), if old.get(v) { scale } else { PRINTED_WEIGHT * scale }))
+            .collect();
+        let of_patch = |p: &Patch| {
+            ctx.check()?;
+            let mut solid = self.state.clone();
+            let cost = |(way, carriers): (&Way, &CarrierTable)| {
+                let d = way.direction;
+                if !self.is_carried(p, d, carriers, &mut solid) {
+                    return f64::INFINITY;
+                }
+                let in_pit = |q: DVec3| {
+                    let up = d.dot(q - p.middle) + p.radius;
+                    up > 0.0 && (q - p.middle).cross(d.vec()).length() <= p.radius + up * opening
+                };
+                cells.iter().filter(|(q, _)| in_pit(*q)).map(|(_, w)| w).sum()
+            };
+            Ok(self.ways.iter().zip(&self.carriers).map(cost).collect())
+        };
+        self.patches.par_iter().map(of_patch).collect()
+    }
+
+    /// Whether every voxel of a patch, from below, has a carrier in what stands.
+    fn is_carried(
+        &self,
+        p: &Patch,
+        d: Direction,
+        carriers: &CarrierTable,
+        stands: &mut BitGrid,
+    ) -> bool {
+        let frame = &self.start.setting.job.frame;
+        let mut order: Vec<([usize; 3], f64)> =
+            p.voxels.iter().map(|v| (*v, d.dot(frame.center(*v)))).collect();
+        order.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let all = order.iter().all(|(v, _)| {
+            let carried = carriers.carries(stands, *v);
+            stands.set(*v, true);
+            carried
+        });
+        order.iter().for_each(|(v, _)| stands.set(*v, false));
+        all
+    }
+
+    /// What stands over some voxels within their cones.
+    fn pit(&self, over: &[[usize; 3]], d: Direction, opening: f64) -> BitGrid {
+        let state = &self.state;
+        let job = self.start.setting.job;
+        let (frame, plane) = (&job.frame, d.image_plane());
+        let h = frame.pitch;
+        let tip = self.ways.first().map_or(0.0, |w| w.tool.tip_radius());
+        let room = tip + h / 2.0;
+        let mut pit = BitGrid::new(frame.dims);
+        let Some((low, high)) = state.extent() else { return pit };
+        // The box of the state across the direction.
+        let corner = |k: usize| {
+            let pick = |a: usize| if k >> a & 1 == 0 { low[a] } else { high[a] };
+            plane.across(frame.center([pick(0), pick(1), pick(2)]))
+        };
+        let (lo, hi) = (0..8)
+            .map(corner)
+            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+        let n = ((hi - lo) / h).ceil() + DVec2::ONE;
+        let (nu, nv) = (n.x as usize, n.y as usize);
+        // Of those over each other the lowest alone counts.
+        let mut lowest: BTreeMap<[i64; 2], (DVec2, f64)> = BTreeMap::new();
+        for p in over.iter().map(|v| frame.center(*v)) {
+            let (uv, height) = (plane.across(p), plane.height(p));
+            let cell = ((uv - lo) / h).round();
+            let end = lowest.entry([cell.x as i64, cell.y as i64]).or_insert((uv, height));
+            end.1 = end.1.min(height);
+        }
+        let ends: Vec<(DVec2, f64)> = lowest.into_values().collect();
+        // Lowest height of the pit in each cell.
+        let mut floor = vec![f64::INFINITY; nu * nv];
+        floor.par_chunks_mut(nu).enumerate().for_each(|(j, row)| {
+            for (i, z) in row.iter_mut().enumerate() {
+                let at = lo + DVec2::new(i as f64, j as f64) * h;
+                for (uv, height) in &ends {
+                    let aside = (uv.distance(at) - room).max(0.0);
+                    *z = z.min(height + aside / opening);
+                }
+            }
+        });
+        for v in state.iter_ones() {
+            let p = frame.center(v);
+            let g = ((plane.across(p) - lo) / h).round().max(DVec2::ZERO);
+            let (i, j) = ((g.x as usize).min(nu - 1), (g.y as usize).min(nv - 1));
+            if plane.height(p) > floor[i + nu * j] - h / 4.0 {
+                pit.set(v, true);
+            }
+        }
+        pit
+    }
+
+    /// The plan with a pit cut along a way, and with what is then missing there printed; none where
+    /// nothing is cut or laid.
+    fn made(
+        &self,
+        (pit, patches): (&BitGrid, &[[usize; 3]]),
+        way: usize,
+        ctx: &Ctx,
+    ) -> Result<Option<Attempt>, PlanError> {
+        let (now, state) = (&self.now, &self.state);
+        let (setting, coarse) = (self.start.setting, self.start.coarse);
+        let job = setting.job;
+        let Way { direction, holding, .. } = self.ways[way];
+        let next_job = Job { initial: state.clone(), ..job.clone() };
+        let next = setting.of_next_round(&next_job, setting.old_of(&now.volumes.reused));
+        let cutting = cut_along(&next, coarse, pit, (direction, holding), ctx)?;
+        let cut = state.minus(&cutting.state);
+        let mut seeds = cut.clone();
+        patches.iter().for_each(|v| seeds.set(*v, true));
+        let reused = now.volumes.reused.minus(&cut);
+        let missing = job.target.minus(&cutting.state);
+        let added = flood(&missing, &seeds.and(&missing), Connectivity::Corner26);
+        let volumes = Volumes {
+            reused,
+            removed: now.volumes.removed.or(&cut),
+            added: now.volumes.added.or(&cut.and(&job.target)),
+        };
+        let preferred: Vec<Direction> =
+            std::iter::once(direction).chain(self.start.preferred.iter().copied()).collect();
+        let wanted = Wanted {
+            state: &cutting.state,
+            added: &added,
+            core: &setting.beyond_skin(&added, &volumes.reused),
+            preferred: &preferred,
+            samples: 0,
+            at_a_glance: false,
+        };
+        let printing = print_blocks(&next, coarse, &wanted, &[], ctx)?;
+        if printing.steps.is_empty() {
+            return Ok(None);
+        }
+        let mut steps = now.steps.clone();
+        let of_kind = |kind| now.steps.iter().filter(|s| s.kind == kind).count();
+        let (cuts, deposits) = (of_kind(StepKind::Subtractive), of_kind(StepKind::Additive));
+        let numbered = |first: usize| move |s: Step| Step { block: first + s.block, ..s };
+        steps.extend(cutting.steps.into_iter().map(numbered(cuts)));
+        steps.extend(printing.steps.into_iter().map(numbered(deposits)));
+        let left = job.target.minus(&printing.state);
+        let deficit = setting.beyond_skin(&left, &volumes.reused);
+        Ok(Some(Attempt {
+            steps,
+            excess: now.excess.minus(&cut),
+            below: now.below.minus(&cut),
+            deficit,
+            volumes,
+            ..now.clone()
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::coarse::Coarse;
+    use super::super::local_tests::job_of;
+    use super::super::round::Mending;
+    use super::super::round::attempt;
+    use super::super::{Clock, Options, Report, plane_normals};
+    use super::*;
+    use crate::verify::verify;
+    use crate::voxel::Frame;
+
+    const DIMS: [usize; 3] = [46, 40, 30];
+
+    fn block([x, y, z]: [usize; 3]) -> bool {
+        (3..43).contains(&x) && (3..37).contains(&y) && (1..25).contains(&z)
+    }
+
+    /// A block with something missing.
+    fn job(missing: impl Fn([usize; 3]) -> bool + Sync) -> Job {
+        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+        let target = BitGrid::from_fn(DIMS, block);
+        let initial = BitGrid::from_fn(DIMS, |v| block(v) && !missing(v));
+        job_of(frame, initial, target, |_| true)
+    }
+
+    /// A blind hole in a side, deeper than it is wide.
+    fn hole([x, y, z]: [usize; 3]) -> bool {
+        x < 13 && (18..22).contains(&y) && (16..20).contains(&z)
+    }
+
+    fn with_start<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
+        let (setting, coarse, ctx) = (Setting::new(job), Coarse::of(job), Ctx::quiet());
+        let (normals, options) = (plane_normals(job, 20), Options::default());
+        let preferred = vec![Direction::Z];
+        let start = Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() };
+        ask(&mut Run {
+            start: &start,
+            normals: &normals,
+            options: &options,
+            on_supports: None,
+            printed_first: None,
+            report: Report::default(),
+            clock: Clock::default(),
+            ctx: &ctx,
+        })
+    }
+
+    /// With nothing given up, as a plan that ends so.
+    fn plain(run: &Run) -> Attempt {
+        let how = (run.options, Mending::None);
+        let (start, ctx) = (run.start, run.ctx);
+        attempt(start.setting, start.coarse, Vec::new(), &start.preferred, how, ctx).unwrap()
+    }
+
+    #[test]
+    fn a_hole_that_no_nozzle_gets_into_is_opened_and_filled() {
+        let mut job = job(hole);
+        // The hole is less than what the rules allow, so the plan without pits is valid.
+        job.rules.deviation = 0.02;
+        let (without, made, notes) = with_start(&job, |run| {
+            let without = plain(run);
+            let made = with_pits(run, without.clone()).unwrap();
+            (without, made, run.report.notes.clone())
+        });
+        assert!(without.deficit.count() > 30, "{}", without.deficit.count());
+        assert_eq!(made.left(), 0);
+        let lost = without.volumes.reused.minus(&made.volumes.reused).count();
+        assert!((1..4000).contains(&lost), "{lost} of {}", without.volumes.reused.count());
+        assert!(notes.iter().any(|n| n.contains("given up in pits")), "{notes:?}");
+        let mut steps = made.steps;
+        let holdings = Setting::new(&job).numbered(&mut steps);
+        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
+        assert!(verdict.passed(), "{:?}", verdict.rules);
+    }
+
+    /// What nothing would carry asks for no large pits, and a complete plan for none.
+    #[test]
+    fn a_plan_without_hope_or_need_stays_as_it_is() {
+        let whole = job(|_| false);
+        let none = |job: &Job| {
+            with_start(job, |run| {
+                let without = plain(run);
+                let made = with_pits(run, without.clone()).unwrap();
+                (without, made)
+            })
+        };
+        let (without, made) = none(&whole);
+        assert_eq!((without.steps.len(), made.steps.len()), (0, 0));
+        // Under the part there is the table alone.
+        let mut hollow = job(|[x, y, z]| z < 6 && (12..34).contains(&x) && (12..28).contains(&y));
+        hollow.rules.deviation = 0.1;
+        let (without, made) = none(&hollow);
+        assert!(!without.deficit.is_empty());
+        assert_eq!(without.volumes.reused, made.volumes.reused);
+    }
+
+    #[test]
+    fn a_pit_is_the_cone_over_what_is_missing() {
+        let job = job(hole);
+        let (pit, room, state) = with_start(&job, |run| {
+            let digging = Digging::new(run.start, plain(run));
+            let over = [[20, 20, 10], [23, 20, 12], [20, 20, 13]];
+            let room = digging.ways[0].tool.tip_radius() + 0.5;
+            (digging.pit(&over, Direction::Z, 2.0), room, digging.state.clone())
+        });
+        let ends = [[20.0, 20.0, 10.0], [23.0, 20.0, 12.0]].map(DVec3::from_array);
+        let want = BitGrid::from_fn(DIMS, |v| {
+            let q = DVec3::from_array(v.map(|c| c as f64));
+            let over = |p: &DVec3| {
+                let aside = ((q - *p).truncate().length() - room).max(0.0);
+                q.z - p.z > aside / 2.0 - 0.25
+            };
+            state.get(v) && ends.iter().any(over)
+        });
+        assert_eq!(pit, want);
+        assert!(pit.count() > 500);
+    }
+}
