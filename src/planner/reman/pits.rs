@@ -11,7 +11,8 @@
 //! Patches that ask for little along the same axis get their pits together, by one cut; then what is
 //! missing there is printed, along the same axis first, where the nozzle stands in the open. Pits that
 //! cost little come before large ones, narrow before wide. Where not all of them help, those that do are
-//! made once more alone.
+//! made once more alone. In the end all is made again with those of one axis together, which takes fewer
+//! blocks.
 //!
 //! This is a local plane (W2V Sec. 4.2) bent into a cone: a plane through a patch in a crease gives up
 //! a slice of the part, a pit a few beads, and mostly of what was printed.
@@ -65,6 +66,9 @@ const PATIENCE: usize = 8;
 /// Tries at most: each costs a cut and a block or two.
 const MOST_TRIES: usize = 60;
 
+/// Share of the target that a plan with fewer pits may give up more.
+const MORE_SHARE: f64 = 2e-3;
+
 /// Patches nearer each other than this are one that was tried before, mm.
 const SAME_PLACE_MM: f64 = 1.0;
 
@@ -73,6 +77,14 @@ struct Patch {
     voxels: Vec<[usize; 3]>,
     middle: DVec3,
     radius: f64,
+}
+
+/// A pit that was made, over what was missing.
+#[derive(Clone)]
+struct Pit {
+    way: usize,
+    opening: usize,
+    over: Vec<[usize; 3]>,
 }
 
 /// The plan with pits for what it misses, where they leave less.
@@ -85,14 +97,15 @@ pub fn with_pits(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> {
     let setting = run.start.setting.with_last_resort();
     let start = run.start.in_setting(&setting);
     let kept = plain.volumes.reused.count();
-    let mut digging = Digging::new(&start, plain.clone());
-    let mut best = plain;
-    while !digging.now.deficit.is_empty() {
-        let Some(made) = digging.next(run.ctx)? else { break };
-        if made.rank(job) < best.rank(job) && made.left() < best.left() {
-            best = made.clone();
+    let (mut best, pits) = dug(&start, plain.clone(), &[], run.ctx)?;
+    if pits.len() > along_each(&pits).len() {
+        let (again, _) = dug(&start, plain, &pits, run.ctx)?;
+        let more = (MORE_SHARE * job.target.count() as f64) as usize;
+        let keeps = again.volumes.reused.count() + more >= best.volumes.reused.count();
+        let is_no_worse = again.rank(job) <= best.rank(job) || again.left() <= best.left() && keeps;
+        if is_no_worse && again.steps.len() < best.steps.len() {
+            best = again;
         }
-        digging.go_on(made);
     }
     run.clock.lap("blocks");
     let given_up = kept.saturating_sub(best.volumes.reused.count());
@@ -104,6 +117,48 @@ pub fn with_pits(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> {
         ));
     }
     Ok(best)
+}
+
+/// The best of a plan and those with more and more pits, and the pits of the best. First come those that an
+/// earlier try for the same made, all along one way together.
+fn dug(
+    start: &Start,
+    plain: Attempt,
+    before: &[Pit],
+    ctx: &Ctx,
+) -> Result<(Attempt, Vec<Pit>), PlanError> {
+    let job = start.setting.job;
+    let mut digging = Digging::new(start, plain.clone());
+    let (mut best, mut pits) = ((plain, Vec::new()), Vec::new());
+    let mut before = along_each(before).into_iter();
+    while !digging.now.deficit.is_empty() && !ctx.out_of_time() {
+        let next = match before.next() {
+            Some(together) => digging.again(together, ctx)?,
+            None => match digging.next(ctx)? {
+                None => break,
+                some => some,
+            },
+        };
+        let Some((made, of_it)) = next else { continue };
+        pits.extend(of_it);
+        if made.rank(job) < best.0.rank(job) && made.left() < best.0.left() {
+            best = (made.clone(), pits.clone());
+        }
+        digging.go_on(made);
+    }
+    Ok(best)
+}
+
+/// Pits way by way, in the order in which the ways come first.
+fn along_each(pits: &[Pit]) -> Vec<Vec<Pit>> {
+    let mut each: Vec<Vec<Pit>> = Vec::new();
+    for pit in pits {
+        match each.iter_mut().find(|e| e[0].way == pit.way) {
+            Some(of_way) => of_way.push(pit.clone()),
+            None => each.push(vec![pit.clone()]),
+        }
+    }
+    each
 }
 
 /// Patches of what is missing: its pieces, cut along a lattice of cells.
@@ -198,7 +253,7 @@ impl<'s, 'a> Digging<'s, 'a> {
     }
 
     /// The plan with the next pits that leave less; none when all were tried.
-    fn next(&mut self, ctx: &Ctx) -> Result<Option<Attempt>, PlanError> {
+    fn next(&mut self, ctx: &Ctx) -> Result<Option<(Attempt, Vec<Pit>)>, PlanError> {
         while self.price < PRICES.len() && !self.is_enough(ctx) {
             if self.costs[self.opening].is_empty() {
                 self.costs[self.opening] = self.costs_of(OPENINGS[self.opening], ctx)?;
@@ -225,13 +280,51 @@ impl<'s, 'a> Digging<'s, 'a> {
                 match made {
                     Some(made) if good.len() == chosen.len() => {
                         self.vain = 0;
-                        return Ok(Some(made));
+                        let pit = Pit { way, opening: self.opening, over: self.over(&chosen) };
+                        return Ok(Some((made, vec![pit])));
                     }
                     _ => chosen = good,
                 }
             }
         }
         Ok(None)
+    }
+
+    /// The plan with some pits along one way made together, if it leaves less.
+    fn again(
+        &mut self,
+        together: Vec<Pit>,
+        ctx: &Ctx,
+    ) -> Result<Option<(Attempt, Vec<Pit>)>, PlanError> {
+        let way = together[0].way;
+        let mut pit = BitGrid::new(self.state.dims());
+        for p in &together {
+            pit.union_with(&self.pit(&p.over, self.ways[way].direction, OPENINGS[p.opening]));
+        }
+        let over: Vec<[usize; 3]> = together.iter().flat_map(|p| p.over.iter().copied()).collect();
+        self.tries += 1;
+        let made = self.made((&pit, &over), way, ctx)?;
+        tracing::debug!(
+            direction = ?self.ways[way].direction,
+            pits = together.len(),
+            before = self.now.deficit.count(),
+            after = made.as_ref().map(|m| m.deficit.count()),
+            reused = made.as_ref().map(|m| m.volumes.reused.count()),
+            "pits together"
+        );
+        let made = made.filter(|m| self.is_less(m));
+        Ok(made.map(|m| (m, together)))
+    }
+
+    /// Whether a plan leaves less than this one and keeps as much as it must.
+    fn is_less(&self, made: &Attempt) -> bool {
+        made.deficit.count() < self.now.deficit.count()
+            && made.volumes.reused.count() >= self.least_kept
+    }
+
+    /// The voxels of some patches.
+    fn over(&self, chosen: &[usize]) -> Vec<[usize; 3]> {
+        chosen.iter().flat_map(|p| self.patches[*p].voxels.iter().copied()).collect()
     }
 
     fn is_enough(&self, ctx: &Ctx) -> bool {
@@ -245,8 +338,7 @@ impl<'s, 'a> Digging<'s, 'a> {
         chosen: &[usize],
         ctx: &Ctx,
     ) -> Result<(Option<Attempt>, Vec<usize>), PlanError> {
-        let of = |p: &usize| self.patches[*p].voxels.iter().copied();
-        let over: Vec<[usize; 3]> = chosen.iter().flat_map(of).collect();
+        let over = self.over(chosen);
         let pit = self.pit(&over, self.ways[way].direction, OPENINGS[self.opening]);
         let Some(made) = self.made((&pit, &over), way, ctx)? else { return Ok((None, Vec::new())) };
         let mut around = pit.clone();
@@ -277,8 +369,7 @@ impl<'s, 'a> Digging<'s, 'a> {
             reused = made.volumes.reused.count(),
             "pit"
         );
-        let is_less = after < before && made.volumes.reused.count() >= self.least_kept;
-        let made = is_less.then_some(made);
+        let made = self.is_less(&made).then_some(made);
         // None of it can be told apart.
         let good = if good.len() == chosen.len() && made.is_none() { Vec::new() } else { good };
         Ok((made, good))
