@@ -206,6 +206,13 @@ const MENDABLE_SHARE: f64 = 0.02;
 /// every trial prints about as many again, which takes a minute there.
 const LOCAL_VOXELS: usize = 400_000;
 
+/// Share of the target that a complete plan gives up for another to be looked for that keeps it.
+const KEEPING_SHARE: f64 = 0.05;
+
+/// Share of the target that is to be cut from a worn part at most. Of others much more has to go, and
+/// printing before it went left something on each of four tried.
+const WORN_SHARE: f64 = 0.05;
+
 /// What every route starts from.
 struct Start<'a> {
     setting: &'a Setting<'a>,
@@ -366,10 +373,32 @@ fn one_round(
         best = finished(&mut run, best)?;
     }
     best = with_pits(&mut run, best)?;
+    if options.finish_mm == 0.0
+        && let Some(made) = keeping_more(&mut run, &best)?
+    {
+        best = made;
+    }
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
     Ok((best, report))
+}
+
+/// Where a complete plan for a worn part, one of which little is to be cut, gives up much: all printed on
+/// the part as it is, with pits for what that misses, if it keeps more.
+fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, PlanError> {
+    let job = run.start.setting.job;
+    let target = job.target.count() as f64;
+    let given_up = job.ideal_reuse().count().saturating_sub(best.volumes.reused.count()) as f64;
+    let is_worn = job.initial.minus(&job.target).count() as f64 <= WORN_SHARE * target;
+    let is_worth_it = is_worn && given_up > KEEPING_SHARE * target && run.options.supports;
+    if !is_worth_it || !is_complete(best, job) || run.ctx.out_of_time() {
+        return Ok(None);
+    }
+    let Some(made) = printed_first(run)?.filter(|m| m.is_valid(job)) else { return Ok(None) };
+    let made = with_fewest_cuts(run, made)?;
+    let made = with_pits(run, made)?;
+    Ok(Some(made).filter(|m| m.rank(job) < best.rank(job)))
 }
 
 /// Attempts, the best first: with global planes, and with local ones where those gave up much or left
