@@ -186,7 +186,6 @@ struct Stage<'a> {
     exact: Lowest,
     /// Heights over the meshes, where the job has them.
     meshes: Option<Exact>,
-    edge: Profile,
     /// What is still to cut.
     stock: Stock,
     /// Lowest tip height cut so far, per cell; +∞ where nothing was.
@@ -251,7 +250,6 @@ impl<'a> Stage<'a> {
             fine,
             exact,
             meshes,
-            edge,
             done: vec![f32::INFINITY; lattice.cells()],
             work,
             process,
@@ -491,14 +489,13 @@ impl<'a> Stage<'a> {
     fn lower_over(&mut self, points: &[(DVec2, f32)], free: &[f32]) -> Result<(), Cancelled> {
         let (l, tool) = (self.lattice, self.work.tool);
         let h = self.work.frame.pitch as f32;
-        let mut offsets = self.edge.offsets();
-        offsets.sort_by_key(|(i, j, _)| (i * i + j * j, *j, *i));
+        let offsets = within(tool.active_radius(), l.s);
         let mut need = vec![f32::INFINITY; l.cells()];
         let mut ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
         for (uv, height) in points {
             let Some(cell) = l.cell(*uv) else { continue };
             let reached = |slack: f64| {
-                offsets.iter().find_map(|(di, dj, _)| {
+                offsets.iter().find_map(|(di, dj)| {
                     let i = cell[0].checked_add_signed(*di as isize)?;
                     let j = cell[1].checked_add_signed(*dj as isize)?;
                     let inside = i < l.n[0] && j < l.n[1];
@@ -790,6 +787,17 @@ impl<'a> Stage<'a> {
     }
 }
 
+/// Cells within a radius of one, the nearest first.
+fn within(radius: f64, s: f64) -> Vec<(i64, i64)> {
+    let cells = radius / s + 1e-9;
+    let n = cells.floor() as i64;
+    let all = (-n..=n).flat_map(|j| (-n..=n).map(move |i| (i, j)));
+    let is_within = |(i, j): &(i64, i64)| (*i as f64).hypot(*j as f64) <= cells;
+    let mut offsets: Vec<(i64, i64)> = all.filter(is_within).collect();
+    offsets.sort_by_key(|(i, j)| (i * i + j * j, *j, *i));
+    offsets
+}
+
 /// Tips on the way of the cuts, at most `apart` mm from each other.
 fn cut_tips(moves: &[Move], apart: f64) -> impl Iterator<Item = DVec3> {
     let cuts = moves.windows(2).filter(|w| w[1].kind == MoveKind::Cut);
@@ -802,4 +810,27 @@ fn cut_tips(moves: &[Move], apart: f64) -> impl Iterator<Item = DVec3> {
 /// How far a point may lie from the centre of its cell, mm: nothing along the grid axes.
 fn rounding(work: &Work, s: f64) -> f64 {
     if work.step.direction.is_grid_axis() { 0.0 } else { s * std::f64::consts::FRAC_1_SQRT_2 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A tapered edge takes off by its side what lies farther from its axis than the cells that a
+    /// profile samples one by one; such voxels were once left, and the program did not cut its plan.
+    #[test]
+    fn tips_are_looked_for_as_far_off_as_the_edge_is_wide() {
+        let machine = crate::machine::Machine::builtin("generic-5axis").unwrap();
+        let taper = machine.tools.iter().find(|t| t.is_tapered()).unwrap();
+        let s = 0.14;
+        let cells = within(taper.active_radius(), s);
+        let edge = |rho: f64| taper.active_lower_surface(rho);
+        let sampled = Profile::new(edge, taper.active_radius(), s, 0.0, 0.0).offsets();
+        assert!(cells.len() > sampled.len(), "{} {}", cells.len(), sampled.len());
+        assert!(sampled.iter().all(|(i, j, _)| cells.contains(&(*i, *j))));
+        let far = cells.iter().map(|(i, j)| (*i as f64).hypot(*j as f64) * s).fold(0.0, f64::max);
+        assert!(far <= taper.active_radius() + 1e-9 && far > taper.active_radius() - 2.0 * s);
+        assert!(cells.is_sorted_by_key(|(i, j)| i * i + j * j));
+        assert_eq!(cells[0], (0, 0));
+    }
 }

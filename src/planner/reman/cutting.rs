@@ -73,10 +73,9 @@ pub fn cut_blocks(
     let alone = cutter.cutters.len() == setting.cutters().len();
     cutter.cut(samples, alone, ctx)?;
     if !alone && !cutter.cutting.unreached.is_empty() {
-        cutter.cutters = setting.cutters_by_maps();
+        cutter.cutters = setting.cutters();
         cutter.cut(samples, true, ctx)?;
         if setting.cuts_closely() {
-            cutter.cutters = setting.cutters();
             cutter.cut_closely(samples, ctx)?;
         }
     }
@@ -97,7 +96,7 @@ pub fn repeated(
     Ok(cutter.cutting)
 }
 
-/// One cut from the initial part along a direction, as held: with the slimmest of the cutters, or with the
+/// One cut from the initial part along a direction, as held: with the slimmest cutter that does not taper, or with the
 /// longest of the usual ones where that takes nearly as much.
 pub fn cut_along(
     setting: &Setting,
@@ -113,7 +112,8 @@ pub fn cut_along(
         Ok(cutter.held_cut(removable.clone(), &fixed, (*tool, direction), How::ByMaps))
     };
     let longest = Tool::longest(setting.usual_cutters());
-    let tools: Vec<&Tool> = longest.into_iter().chain(setting.cutters_by_maps().last()).collect();
+    let slimmest = setting.cutters().iter().rfind(|t| !t.is_tapered());
+    let tools: Vec<&Tool> = longest.into_iter().chain(slimmest).collect();
     let cuts: Vec<BitGrid> = tools.par_iter().map(cut).collect::<Result<_, Cancelled>>()?;
     let most = cuts.iter().map(BitGrid::count).max().unwrap_or(0);
     let enough = |c: &BitGrid| c.count() as f64 >= SHORTER_TOOL_SHARE * most as f64;

@@ -186,7 +186,7 @@ fn cover<'a>(
     let last_resort = |t: &&Tool| t.taken == Taken::LastResort;
     let is_resorted_to = |t: &Tool| large.iter().chain(small).any(|s| s.tool == t.name);
     let tools = match setting.cutters().iter().filter(last_resort).any(is_resorted_to) {
-        true => setting.cutters_by_maps(),
+        true => setting.cutters(),
         false => setting.usual_cutters(),
     };
     let mut sets: Vec<(Way, Vec<usize>)> = Vec::new();

@@ -70,17 +70,6 @@ impl<'a> Setting<'a> {
         usual(&self.job.cutters)
     }
 
-    /// Those that cut by depth maps. A tapered last resort cuts single voxels by exact distances
-    /// alone: maps have it reach by its side what its way along the lattice then misses.
-    pub fn cutters_by_maps(&self) -> &'a [Tool] {
-        let cutters = self.cutters();
-        let stays_out = |t: &Tool| t.taken == Taken::LastResort && t.is_tapered();
-        match cutters.iter().rposition(|t| !stays_out(t)) {
-            Some(last) => &cutters[..=last],
-            None => cutters,
-        }
-    }
-
     /// Whether the job has tools that only the last resort takes.
     pub fn has_last_resort(&self) -> bool {
         let Job { cutters, nozzles, .. } = self.job;
@@ -242,7 +231,6 @@ mod tests {
         let all = usual.with_last_resort();
         assert_eq!(names(all.cutters()), ["ball-1.4x24", "taper-1x50"]);
         assert_eq!(names(all.nozzles()), ["needle-nozzle"]);
-        assert_eq!(names(all.cutters_by_maps()), ["ball-1.4x24"]);
         assert_eq!(all.usual_cutters(), usual.cutters());
         // A job that has no others has these.
         let only = job_of(frame, part.clone(), part, |t| t.taken == Taken::LastResort);
