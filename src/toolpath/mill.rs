@@ -816,13 +816,13 @@ fn rounding(work: &Work, s: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// A tapered edge takes off by its side what lies farther from its axis than the cells that a
-    /// profile samples one by one; such voxels were once left, and the program did not cut its plan.
+    /// On fine grids a tapered edge takes off by its side what lies farther from its axis than the cells
+    /// that a profile samples one by one; no tip was looked for there once.
     #[test]
     fn tips_are_looked_for_as_far_off_as_the_edge_is_wide() {
         let machine = crate::machine::Machine::builtin("generic-5axis").unwrap();
         let taper = machine.tools.iter().find(|t| t.is_tapered()).unwrap();
-        let s = 0.14;
+        let s = 0.1;
         let cells = within(taper.active_radius(), s);
         let edge = |rho: f64| taper.active_lower_surface(rho);
         let sampled = Profile::new(edge, taper.active_radius(), s, 0.0, 0.0).offsets();

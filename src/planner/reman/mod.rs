@@ -39,6 +39,8 @@
 //! - Where global planes leave more than the rules allow and give something up, and supports would not
 //!   mend that, all is printed on the part as it is, before any cut (`printed_first`).
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
+//! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`); of a worn
+//!   part, of which little is to be cut, all is planned that way where planes give up much.
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
 //!   paper names a finishing cut as future work.
