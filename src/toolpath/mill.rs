@@ -59,6 +59,11 @@ const CORNER_MM: f64 = 0.02;
 /// less than what a position is worth, and programs need not tell apart moves shorter than this.
 const NO_MOVE_MM: f64 = 0.02;
 
+/// Tips are looked for up to so many cells beside what they are to reach: a tapered edge 2 mm wide on
+/// cells of 0.03 mm. Wider edges reach from nearer by, and a point that none reaches costs a look at
+/// every cell.
+const FAR_CELLS: f64 = 64.0;
+
 /// What a step works on.
 pub(super) struct Work<'a> {
     pub job: &'a Job,
@@ -489,7 +494,7 @@ impl<'a> Stage<'a> {
     fn lower_over(&mut self, points: &[(DVec2, f32)], free: &[f32]) -> Result<(), Cancelled> {
         let (l, tool) = (self.lattice, self.work.tool);
         let h = self.work.frame.pitch as f32;
-        let offsets = within(tool.active_radius(), l.s);
+        let offsets = within(tool.active_radius().min(FAR_CELLS * l.s), l.s);
         let mut need = vec![f32::INFINITY; l.cells()];
         let mut ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
         for (uv, height) in points {
