@@ -96,8 +96,8 @@ pub fn repeated(
     Ok(cutter.cutting)
 }
 
-/// One cut from the initial part along a direction, as held: with the slimmest cutter that does not taper, or with the
-/// longest of the usual ones where that takes nearly as much.
+/// One cut from the initial part along a direction, as held: with the slimmest cutter that does not
+/// taper, or with the longest of the usual ones where that takes nearly as much.
 pub fn cut_along(
     setting: &Setting,
     coarse: &Coarse,

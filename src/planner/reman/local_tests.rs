@@ -6,7 +6,7 @@ use super::local::{Element, Scope};
 use super::refine::refine;
 use super::round::{Attempt, volumes};
 use super::setting::Setting;
-use super::{Options, plane_normals};
+use super::{Clock, Options, Report, Run, Start, plane_normals};
 use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::{Machine, Tool, ToolKind};
 use crate::mesh::TriMesh;
@@ -52,6 +52,24 @@ pub(super) fn job_of(
         nozzles,
         rules: Rules::for_pitch(frame.pitch, 0.2),
     }
+}
+
+/// Asks what a run would on a job, with nothing done yet.
+pub(super) fn with_run<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
+    let (setting, coarse, ctx) = (Setting::new(job), Coarse::of(job), Ctx::quiet());
+    let (normals, options) = (plane_normals(job, 20), Options::default());
+    let preferred = vec![Direction::Z];
+    let start = Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() };
+    ask(&mut Run {
+        start: &start,
+        normals: &normals,
+        options: &options,
+        on_supports: None,
+        printed_first: None,
+        report: Report::default(),
+        clock: Clock::default(),
+        ctx: &ctx,
+    })
 }
 
 /// A slice of the first post, and the voxels beside it.

@@ -369,7 +369,7 @@ fn one_round(
         }
     }
     let mut best = best.ok_or(PlanError::Cancelled)?;
-    run.report.note_supports(job, best.printed_aside(job).count(), was_made);
+    let mut aside = best.printed_aside(job).count();
     best = with_fewest_cuts(&run, best)?;
     if options.finish_mm > 0.0 {
         best = finished(&mut run, best)?;
@@ -378,8 +378,10 @@ fn one_round(
     if options.finish_mm == 0.0
         && let Some(made) = keeping_more(&mut run, &best)?
     {
+        aside = made.printed_aside(job).count();
         best = made;
     }
+    run.report.note_supports(job, aside, was_made);
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
@@ -398,9 +400,17 @@ fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, PlanEr
         return Ok(None);
     }
     let Some(made) = printed_first(run)?.filter(|m| m.is_valid(job)) else { return Ok(None) };
+    let notes = std::mem::take(&mut run.report.notes);
     let made = with_fewest_cuts(run, made)?;
     let made = with_pits(run, made)?;
-    Ok(Some(made).filter(|m| m.rank(job) < best.rank(job)))
+    let keeps_more = made.rank(job) < best.rank(job);
+    // Of two plans with pits the notes tell of the one that is made.
+    if keeps_more {
+        run.report.notes.splice(0..0, notes);
+    } else {
+        run.report.notes = notes;
+    }
+    Ok(keeps_more.then_some(made))
 }
 
 /// Attempts, the best first: with global planes, and with local ones where those gave up much or left

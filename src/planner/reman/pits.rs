@@ -18,7 +18,7 @@
 //! a slice of the part, a pit a few beads, and mostly of what was printed.
 //!
 //! Along other directions what tools reach is told with a margin of half a voxel, which leaves crumbs on
-//! a pit's walls: of forty tried on a real part two helped.
+//! a pit's walls: of forty tried on a real part one helped.
 //!
 //! Guarantees: those of cuts and deposits; a plan with pits ranks higher and leaves less than the one
 //! without, and gives up no more for it than further planes may. Not guaranteed: that the pits are the
@@ -276,7 +276,7 @@ impl<'s, 'a> Digging<'s, 'a> {
             // Those that leave less are made once more without the others.
             while !chosen.is_empty() && !self.is_enough(ctx) {
                 (self.tries, self.vain) = (self.tries + 1, self.vain + 1);
-                let (made, good) = self.tried(way, &chosen, ctx)?;
+                let (made, good) = self.with_pits_over(way, &chosen, ctx)?;
                 match made {
                     Some(made) if good.len() == chosen.len() => {
                         self.vain = 0;
@@ -332,7 +332,7 @@ impl<'s, 'a> Digging<'s, 'a> {
     }
 
     /// Pits over some patches: the plan with them, if it leaves less, and the patches near which it does.
-    fn tried(
+    fn with_pits_over(
         &self,
         way: usize,
         chosen: &[usize],
@@ -438,12 +438,11 @@ impl<'s, 'a> Digging<'s, 'a> {
             .iter_ones()
             .map(|v| (frame.center(v), if old.get(v) { scale } else { PRINTED_WEIGHT * scale }))
             .collect();
-        let of_patch = |p: &Patch| {
+        let of_patch = |solid: &mut BitGrid, p: &Patch| {
             ctx.check()?;
-            let mut solid = self.state.clone();
             let cost = |(way, carriers): (&Way, &CarrierTable)| {
                 let d = way.direction;
-                if !self.is_carried(p, d, carriers, &mut solid) {
+                if !self.is_carried(p, d, carriers, solid) {
                     return f64::INFINITY;
                 }
                 let in_pit = |q: DVec3| {
@@ -454,7 +453,7 @@ impl<'s, 'a> Digging<'s, 'a> {
             };
             Ok(self.ways.iter().zip(&self.carriers).map(cost).collect())
         };
-        self.patches.par_iter().map(of_patch).collect()
+        self.patches.par_iter().map_init(|| self.state.clone(), of_patch).collect()
     }
 
     /// Whether every voxel of a patch, from below, has a carrier in what stands.
@@ -590,11 +589,8 @@ impl<'s, 'a> Digging<'s, 'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::coarse::Coarse;
-    use super::super::local_tests::job_of;
-    use super::super::round::Mending;
-    use super::super::round::attempt;
-    use super::super::{Clock, Options, Report, plane_normals};
+    use super::super::local_tests::{job_of, with_run};
+    use super::super::round::{Mending, attempt};
     use super::*;
     use crate::verify::verify;
     use crate::voxel::Frame;
@@ -618,23 +614,6 @@ mod tests {
         x < 13 && (18..22).contains(&y) && (16..20).contains(&z)
     }
 
-    fn with_start<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
-        let (setting, coarse, ctx) = (Setting::new(job), Coarse::of(job), Ctx::quiet());
-        let (normals, options) = (plane_normals(job, 20), Options::default());
-        let preferred = vec![Direction::Z];
-        let start = Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() };
-        ask(&mut Run {
-            start: &start,
-            normals: &normals,
-            options: &options,
-            on_supports: None,
-            printed_first: None,
-            report: Report::default(),
-            clock: Clock::default(),
-            ctx: &ctx,
-        })
-    }
-
     /// With nothing given up, as a plan that ends so.
     fn plain(run: &Run) -> Attempt {
         let how = (run.options, Mending::None);
@@ -647,7 +626,7 @@ mod tests {
         let mut job = job(hole);
         // The hole is less than what the rules allow, so the plan without pits is valid.
         job.rules.deviation = 0.02;
-        let (without, made, notes) = with_start(&job, |run| {
+        let (without, made, notes) = with_run(&job, |run| {
             let without = plain(run);
             let made = with_pits(run, without.clone()).unwrap();
             (without, made, run.report.notes.clone())
@@ -668,7 +647,7 @@ mod tests {
     fn a_plan_without_hope_or_need_stays_as_it_is() {
         let whole = job(|_| false);
         let none = |job: &Job| {
-            with_start(job, |run| {
+            with_run(job, |run| {
                 let without = plain(run);
                 let made = with_pits(run, without.clone()).unwrap();
                 (without, made)
@@ -687,7 +666,7 @@ mod tests {
     #[test]
     fn a_pit_is_the_cone_over_what_is_missing() {
         let job = job(hole);
-        let (pit, room, state) = with_start(&job, |run| {
+        let (pit, room, state) = with_run(&job, |run| {
             let digging = Digging::new(run.start, plain(run));
             let over = [[20, 20, 10], [23, 20, 12], [20, 20, 13]];
             let room = digging.ways[0].tool.tip_radius() + 0.5;

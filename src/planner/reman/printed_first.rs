@@ -69,8 +69,7 @@ pub fn glimpse(run: &mut Run, clips: &[Clip]) -> Result<Leaves, PlanError> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::local_tests::job_of;
-    use super::super::{Clock, Options, Report, Run, plane_normals};
+    use super::super::local_tests::{job_of, with_run};
     use super::*;
     use crate::base::{Ctx, DVec3, Direction};
     use crate::machine::Taken;
@@ -90,23 +89,6 @@ mod tests {
         let target = BitGrid::from_fn(DIMS, |v| block(v) && v[0] < 28);
         let initial = BitGrid::from_fn(DIMS, |v| block(v) && !missing(v));
         job_of(frame, initial, target, |t| t.taken == Taken::Always)
-    }
-
-    fn with_run<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
-        let (setting, coarse, ctx) = (Setting::new(job), Coarse::of(job), Ctx::quiet());
-        let (normals, options) = (plane_normals(job, 20), Options::default());
-        let preferred = vec![Direction::Z];
-        let start = Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() };
-        ask(&mut Run {
-            start: &start,
-            normals: &normals,
-            options: &options,
-            on_supports: None,
-            printed_first: None,
-            report: Report::default(),
-            clock: Clock::default(),
-            ctx: &ctx,
-        })
     }
 
     /// Worn on top: a bowl is no base for a plane to keep, but it is filled from above.
