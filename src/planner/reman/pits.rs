@@ -22,7 +22,9 @@
 //!
 //! Guarantees: those of cuts and deposits; a plan with pits ranks higher and leaves less than the one
 //! without, and gives up no more for it than further planes may. Not guaranteed: that the pits are the
-//! smallest, or their order the best.
+//! smallest, or their order the best; nor that what stood within the tolerance of material given up is
+//! counted: it was skin and becomes residual, which is not looked at again here, so that a plan may be
+//! ranked as complete which the verifier finds to leave a voxel.
 
 use super::cutting::cut_along;
 use super::laying::{Way, ways_along};
