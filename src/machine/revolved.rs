@@ -271,7 +271,8 @@ mod tests {
     proptest! {
         #[test]
         fn every_point_of_the_surface_is_enclosed(
-            rings in prop::collection::vec((0.0..3.0_f64, prop::collection::vec(0.1..5.0_f64, 5)), 2..12),
+            // Rings nearer than that may be a flange thinner than what is seen.
+            rings in prop::collection::vec((2e-3..3.0_f64, prop::collection::vec(0.1..5.0_f64, 5)), 2..12),
             weights in prop::array::uniform3(0.01..1.0_f64),
             flipped in any::<u64>(),
         ) {
