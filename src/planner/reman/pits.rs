@@ -21,10 +21,8 @@
 //! a pit's walls: of forty tried on a real part one helped.
 //!
 //! Guarantees: those of cuts and deposits; a plan with pits ranks higher and leaves less than the one
-//! without, and gives up no more for it than further planes may. Not guaranteed: that the pits are the
-//! smallest, or their order the best; nor that what stood within the tolerance of material given up is
-//! counted: it was skin and becomes residual, which is not looked at again here, so that a plan may be
-//! ranked as complete which the verifier finds to leave a voxel.
+//! without, and gives up at most a fifth of the target for it. Not guaranteed: that the pits are the
+//! smallest, or their order the best.
 
 use super::cutting::cut_along;
 use super::laying::{Way, ways_along};
@@ -67,6 +65,10 @@ const PATIENCE: usize = 8;
 
 /// Tries at most: each costs a cut and a block or two.
 const MOST_TRIES: usize = 60;
+
+/// Share of the target that pits may give up to leave nothing at all. Further planes may cost less: one of them
+/// gives up a slice of the part at once, pits a little each, and none that does not leave less.
+const PITS_SHARE: f64 = 0.2;
 
 /// Share of the target that a plan with fewer pits may give up more.
 const MORE_SHARE: f64 = 2e-3;
@@ -220,7 +222,8 @@ impl<'s, 'a> Digging<'s, 'a> {
             None => Vec::new(),
         };
         let overhang = setting.job.rules.overhang_deg;
-        let worth = plain.worth(setting.job).unwrap_or(usize::MAX);
+        let share = (PITS_SHARE * setting.job.target.count() as f64) as usize;
+        let worth = plain.worth(setting.job).map_or(usize::MAX, |w| w.max(share));
         let carriers = ways.iter().map(|w| CarrierTable::new(w.direction, overhang)).collect();
         let state = BitGrid::new(setting.job.frame.dims);
         let (patches, tried) = (Vec::new(), Vec::new());
@@ -321,6 +324,7 @@ impl<'s, 'a> Digging<'s, 'a> {
     /// Whether a plan leaves less than this one and keeps as much as it must.
     fn is_less(&self, made: &Attempt) -> bool {
         made.deficit.count() < self.now.deficit.count()
+            && made.left() < self.now.left()
             && made.volumes.reused.count() >= self.least_kept
     }
 
@@ -544,7 +548,21 @@ impl<'s, 'a> Digging<'s, 'a> {
         let Way { direction, holding, .. } = self.ways[way];
         let next_job = Job { initial: state.clone(), ..job.clone() };
         let next = setting.of_next_round(&next_job, setting.old_of(&now.volumes.reused));
-        let cutting = cut_along(&next, coarse, pit, (direction, holding), ctx)?;
+        // What stood within the tolerance of that which the pit takes has no skin to be part of any more.
+        let too_much = |stands: &BitGrid, kept: &BitGrid| {
+            setting.beyond_skin(&stands.minus(&job.target), kept)
+        };
+        let bare =
+            |pit: &BitGrid| too_much(state, &now.volumes.reused.minus(pit)).minus(&now.excess);
+        let along = (direction, holding);
+        let mut cutting = cut_along(&next, coarse, &pit.or(&bare(pit)), along, ctx)?;
+        let bared = too_much(&cutting.state, &now.volumes.reused.and(&cutting.state));
+        let stuck = bared.minus(&now.excess);
+        if !stuck.is_empty() {
+            // What is not cut with it stays skin where the pit leaves out what is near.
+            let pit = setting.beyond_skin(pit, &stuck);
+            cutting = cut_along(&next, coarse, &pit.or(&bare(&pit)), along, ctx)?;
+        }
         let cut = state.minus(&cutting.state);
         let mut seeds = cut.clone();
         patches.iter().for_each(|v| seeds.set(*v, true));
@@ -580,7 +598,7 @@ impl<'s, 'a> Digging<'s, 'a> {
         let deficit = setting.beyond_skin(&left, &volumes.reused);
         Ok(Some(Attempt {
             steps,
-            excess: now.excess.minus(&cut),
+            excess: too_much(&printing.state, &volumes.reused),
             below: now.below.minus(&cut),
             deficit,
             volumes,
@@ -642,6 +660,32 @@ mod tests {
         let holdings = Setting::new(&job).numbered(&mut steps);
         let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
         assert!(verdict.passed(), "{:?}", verdict.rules);
+    }
+
+    /// A thin layer on what a pit gives up was within the tolerance of it: left standing, it counted as skin
+    /// still, and the plan as complete.
+    #[test]
+    fn skin_of_what_a_pit_gives_up_is_cut_with_it_or_counts_as_left() {
+        let corner = |[x, y, z]: [usize; 3]| x < 12 && (14..26).contains(&y) && z >= 16;
+        let mut job = job(hole);
+        for x in 3..16 {
+            (3..37).for_each(|y| job.initial.set([x, y, 25], true));
+        }
+        let pit = BitGrid::from_fn(DIMS, |v| block(v) && corner(v) && !hole(v));
+        let (made, cut) = with_run(&job, |run| {
+            let digging = Digging::new(run.start, plain(run));
+            let way = digging.ways.iter().position(|w| w.direction.vec().x < -0.9);
+            let over: Vec<[usize; 3]> = digging.now.deficit.iter_ones().collect();
+            let made = digging.made((&pit, &over), way.unwrap(), run.ctx).unwrap().unwrap();
+            let cut = digging.now.volumes.reused.minus(&made.volumes.reused).count();
+            (made, cut)
+        });
+        assert!(cut > 400, "{cut}");
+        let end = end_state(&job, &Plan { holdings: Vec::new(), steps: made.steps.clone() });
+        let setting = Setting::new(&job);
+        assert_eq!(made.excess, setting.beyond_skin(&end.excess, &end.reused));
+        assert_eq!(made.deficit, setting.beyond_skin(&end.deficit, &end.reused));
+        assert!(made.excess.is_empty());
     }
 
     /// What nothing would carry asks for no large pits, and a complete plan for none.
