@@ -1,4 +1,4 @@
-use super::process::Process;
+use super::process::{Control, Process};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -145,6 +145,19 @@ impl Tool {
     /// Largest radius of the active part, mm; 0 without one.
     pub fn active_radius(&self) -> f64 {
         self.active().map(Shape::max_radius).fold(0.0, f64::max)
+    }
+
+    /// Depth of a roughing level and distance between its passes, mm.
+    pub fn roughing_steps_mm(&self) -> [f64; 2] {
+        // A cutter thinner than this has no figures that are fractions of its diameter.
+        let diameter = 2.0 * self.active_radius().max(0.05);
+        [self.process.step_down, self.process.step_over].map(|share| share * diameter)
+    }
+
+    /// What the tool takes away in a minute of roughing under a control, mm³/min.
+    pub fn roughing_mm3_min(&self, control: &Control) -> f64 {
+        let [down, over] = self.roughing_steps_mm();
+        down * over * control.feed(&self.process)
     }
 
     /// Top of the active part over the tip, mm: how deep the edge cuts.

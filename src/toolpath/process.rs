@@ -30,12 +30,11 @@ impl Milling {
     /// The tool's own figures, capped by what the control allows.
     pub fn of(machine: &Machine, tool: &Tool) -> Milling {
         let (p, control) = (&tool.process, &machine.control);
-        // A cutter thinner than this has no figures that are fractions of its diameter.
-        let diameter = 2.0 * tool.active_radius().max(0.05);
+        let [step_down, stepover] = tool.roughing_steps_mm();
         let feed = control.feed(p);
         Milling {
-            step_down: p.step_down * diameter,
-            stepover: p.step_over * diameter,
+            step_down,
+            stepover,
             stock: p.stock_to_leave_mm,
             scallop: p.scallop_mm,
             feed,

@@ -123,6 +123,19 @@ pub fn cut_along(
     Ok(cutter.cutting)
 }
 
+/// What of a region a cutter takes away from a state along a direction with nothing coming loose.
+pub fn held_part(
+    setting: &Setting,
+    coarse: &Coarse,
+    (state, region): (&BitGrid, &BitGrid),
+    fixed: &[DVec3],
+    way: (&Tool, Direction),
+) -> BitGrid {
+    let mut cutter = Cutter::new(setting, coarse, region, region);
+    cutter.cutting.state = state.clone();
+    cutter.held_cut(region.clone(), fixed, way, How::ByMaps)
+}
+
 /// How a cut is found: by depth maps, or near what is left by exact distances.
 #[derive(Clone, Copy)]
 pub(super) enum How {

@@ -41,6 +41,7 @@
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
 //! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`); of a worn
 //!   part, of which little is to be cut, all is planned that way where planes give up much.
+//! - A long cut by a slender cutter is roughed with a stouter one first (`roughing`).
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
 //!   paper names a finishing cut as future work.
@@ -80,6 +81,7 @@ mod reach;
 mod reasons;
 mod refine;
 mod report;
+mod roughing;
 mod round;
 mod setting;
 mod supports;
@@ -107,6 +109,7 @@ use pits::with_pits;
 use printed_first::{Leaves, glimpse, printed_first};
 use report::Clock;
 pub use report::Report;
+use roughing::roughed;
 use round::{Attempt, RESIDUAL_WEIGHT, deep, volumes};
 use setting::Setting;
 use std::cmp::Ordering;
@@ -381,6 +384,7 @@ fn one_round(
         aside = made.printed_aside(job).count();
         best = made;
     }
+    best = roughed(&mut run, best)?;
     run.report.note_supports(job, aside, was_made);
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
