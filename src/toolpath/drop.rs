@@ -69,6 +69,14 @@ impl End {
         out.max(0.0).hypot(down.max(0.0)) + out.max(down).min(0.0) - round
     }
 
+    /// The tips no farther than `within` mm over a point at `z`, beside it by `rho`, are lower than this; none
+    /// where every tip is farther. The inverse of [`End::distance`].
+    pub(super) fn highest_tip(&self, rho: f64, z: f64, within: f64) -> Option<f64> {
+        let (flat, round) = self.torus();
+        let (out, far) = ((rho - flat).max(0.0), round + within);
+        (out < far).then(|| z - round + (far * far - out * out).sqrt())
+    }
+
     /// From a contact on a surface to the axis, across it; `across` is the part of the surface's
     /// unit normal that lies across.
     pub fn contact_to_axis(&self, across: DVec2) -> DVec2 {
@@ -294,6 +302,21 @@ impl DropCutter {
         best.is_finite().then_some(best)
     }
 
+    /// Whether the tip that rests on the triangles is higher than `most`; what [`DropCutter::height`] says,
+    /// sooner. `on` is a triangle that is likely to hold it up, then one that does.
+    pub fn rests_over(&self, end: End, at: DVec2, most: f64, on: &mut Option<u32>) -> bool {
+        if let Some(t) = *on {
+            let (corners, normal) = (&self.triangles[t as usize], self.normals[t as usize]);
+            if end.touch(at, corners, normal, most).is_some_and(|z| z > most) {
+                return true;
+            }
+        }
+        let reach = DVec2::splat(end.radius());
+        let ([i0, j0], [i1, j1]) = (self.clamped(at - reach), self.clamped(at + reach));
+        let mut cells = (j0..=j1).flat_map(|j| (i0..=i1).map(move |i| [i, j]));
+        cells.any(|c| self.height_over(c, end, at, most, on) > most)
+    }
+
     /// The greatest of a height and those of the triangles under a cell, and whose it is.
     fn height_over(
         &self,
@@ -406,7 +429,25 @@ mod tests {
                     assert_eq!(drop.height(end, at), all, "{end:?} at {at}");
                     // Whatever tip the search begins with.
                     assert_eq!(drop.height_from(end, at, &mut on), all, "{end:?} at {at}");
+                    let z = all.unwrap_or(0.0);
+                    for most in [z - 2.0, z - 1e-9, z, z + 1e-9, z + 2.0, f64::INFINITY] {
+                        let over = drop.rests_over(end, at, most, &mut on);
+                        assert_eq!(over, all.is_some_and(|z| z > most), "{end:?} at {at}");
+                    }
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn the_highest_tip_within_a_distance_is_at_that_distance() {
+        for end in ENDS {
+            for (rho, within) in [(0.0, 0.1), (0.7, 0.2), (1.9, 0.3), (2.1, 0.3), (2.1, 0.05)] {
+                let found = end.highest_tip(rho, 5.0, within);
+                assert_eq!(found.is_some(), rho < 2.0 + within);
+                let Some(tip) = found else { continue };
+                assert!((end.distance(rho, 5.0 - tip) - within).abs() < 1e-12, "{end:?} {rho}");
+                assert!(end.distance(rho, 5.0 - tip + 0.01) < within);
             }
         }
     }

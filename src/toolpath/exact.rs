@@ -175,8 +175,9 @@ impl Exact {
         Ok(())
     }
 
-    /// Lowest tip anywhere at which the grown end is free of obstacles that no mesh stands for.
-    fn past(&self, at: DVec2, margin: [f64; 2]) -> f64 {
+    /// Lowest tip anywhere at which the grown end is free of obstacles that no mesh stands for; of those above
+    /// `enough` any.
+    fn past(&self, at: DVec2, margin: [f64; 2], enough: f64) -> f64 {
         let mut lowest = f64::NEG_INFINITY;
         for (image, [side, down]) in self.bare_with(self.half, margin) {
             let (l, radius) = (image.lattice, self.end.radius() - TOUCHING_MM);
@@ -191,6 +192,9 @@ impl Exact {
                     let rho = || (l.uv([i, j]).distance(at) - side).max(0.0);
                     if top > lowest && rho() < radius {
                         lowest = lowest.max(top - self.end.lower(rho()));
+                        if lowest > enough {
+                            return lowest;
+                        }
                     }
                 }
             }
@@ -207,13 +211,29 @@ impl Exact {
     /// Lowest free tip anywhere within the lattice: over the meshes exact, over the voxels that of
     /// the highest cell around.
     pub fn lowest(&self, at: DVec2, of: &Lowest) -> f64 {
+        let Some([guard, bound]) = self.around(at, of) else { return f64::INFINITY };
+        let resting = self.drop.height(self.end, at).unwrap_or(f64::NEG_INFINITY);
+        guard.max(resting.min(bound)).max(self.past(at, of.margin, f64::INFINITY))
+    }
+
+    /// Whether [`Exact::lowest`] is at most `z`, told sooner; `on` as for [`DropCutter::rests_over`].
+    pub fn is_free(&self, at: DVec2, z: f64, of: &Lowest, on: &mut Option<u32>) -> bool {
+        let Some([guard, bound]) = self.around(at, of) else { return z == f64::INFINITY };
+        guard <= z
+            && (bound <= z || !self.drop.rests_over(self.end, at, z, on))
+            && self.past(at, of.margin, z) <= z
+    }
+
+    /// The highest of the cells around: what shank and holder ask for, and above which nothing rests. None
+    /// outside the lattice.
+    fn around(&self, at: DVec2, of: &Lowest) -> Option<[f64; 2]> {
         let lattice = of.guard.lattice;
         let g = (at - lattice.origin) / lattice.s;
         // A tip on a cell's centre has that cell alone around it, rounding or not.
         let (low, high) = ((g + ON_CELL).floor(), (g - ON_CELL).ceil());
         let (last_u, last_v) = (lattice.n[0] as f64 - 1.0, lattice.n[1] as f64 - 1.0);
         if low.min_element() < 0.0 || high.x > last_u || high.y > last_v {
-            return f64::INFINITY;
+            return None;
         }
         let (mut guard, mut bound) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
         for j in low.y as usize..=high.y as usize {
@@ -222,8 +242,7 @@ impl Exact {
                 bound = bound.max(self.bound.at([i, j]));
             }
         }
-        let resting = self.drop.height(self.end, at).unwrap_or(f64::NEG_INFINITY);
-        guard.max(resting.min(bound)).max(self.past(at, of.margin))
+        Some([guard, bound])
     }
 
     /// Moves a tip at height `z` from the cell `c` aside, by less than a cell, until it meets the
@@ -248,7 +267,14 @@ impl Exact {
             return (DVec2::ZERO, z);
         }
         let from = lattice.uv(c);
-        let clear = |by: DVec2| self.lowest(from + by, of) <= z + TOUCH_MM + RISE * by.length();
+        let on = std::cell::Cell::new(None);
+        let clear = |by: DVec2| {
+            let mut hint = on.get();
+            let most = z + TOUCH_MM + RISE * by.length();
+            let is_free = self.is_free(from + by, most, of, &mut hint);
+            on.set(hint);
+            is_free
+        };
         let way = to / to.abs().max_element() * lattice.s;
         let mut by = farthest(DVec2::ZERO, way, &clear);
         if to.abs().min_element() > 0.0 {

@@ -767,9 +767,11 @@ impl<'a> Stage<'a> {
             return false;
         }
         let (a, b) = (self.lattice.uv(from) + self.aside, self.lattice.uv(to) + aside);
-        [0.25, 0.5, 0.75]
-            .into_iter()
-            .any(|t| meshes.lowest(a.lerp(b, t), &self.fine) > z0 + t * (z - z0) + CORNER_MM)
+        let mut on = None;
+        [0.25, 0.5, 0.75].into_iter().any(|t| {
+            let most = z0 + t * (z - z0) + CORNER_MM;
+            !meshes.is_free(a.lerp(b, t), most, &self.fine, &mut on)
+        })
     }
 
     /// To a cell's middle; straight up from where the tip stands aside of it.

@@ -163,31 +163,47 @@ impl Touch<'_> {
     /// The tip from which the edge comes nearest to a point, when that is nearer than `off`.
     fn nearest(&self, p: Point, off: f64) -> Option<DVec3> {
         let (end, edge) = (self.exact.end(), self.work.tool.active_length());
-        let tip = |q: DVec2| q.extend(self.exact.lowest(q, self.lowest).max(p.at.z - edge));
-        let look = |q: DVec2| (from_edge(end, edge, tip(q), p.at).max(0.0), q);
-        let nearer = |a: (f64, DVec2), b: (f64, DVec2)| if b.0 < a.0 { b } else { a };
-        let (normal, uv) = (p.normal.truncate(), p.at.truncate());
+        let (normal, uv, lowest) = (p.normal.truncate(), p.at.truncate(), p.at.z - edge);
+        let mut best = (f64::INFINITY, uv.extend(lowest));
+        let mut on = None;
+        // Takes the lowest tip over a place where it comes nearer than the best so far.
+        let mut look = |best: &mut (f64, DVec3), q: DVec2| {
+            let most = match best.0 {
+                f64::INFINITY => Some(f64::INFINITY),
+                far => end.highest_tip(q.distance(uv), p.at.z, far),
+            };
+            // Most places are no better, which is told sooner than how low the tip may go there.
+            if most.is_some_and(|z| self.exact.is_free(q, z, self.lowest, &mut on)) {
+                let tip = q.extend(self.exact.lowest(q, self.lowest).max(lowest));
+                let at = from_edge(end, edge, tip, p.at).max(0.0);
+                if at < best.0 {
+                    *best = (at, tip);
+                }
+            }
+        };
         let contact = uv + end.contact_to_axis(normal);
-        let seeds = (0..=SEEDS).map(|k| contact + normal * (off * f64::from(k) / f64::from(SEEDS)));
-        let mut best = seeds.map(look).fold((f64::INFINITY, uv), nearer);
+        for k in 0..=SEEDS {
+            look(&mut best, contact + normal * (off * f64::from(k) / f64::from(SEEDS)));
+        }
         if best.0 > off - GAIN_MM {
             // In a corner the other wall keeps the end from all of these.
-            let around = (0..RING).map(|k| TAU * f64::from(k) / f64::from(RING));
-            let ring = around
-                .flat_map(|a| RING_RADII.map(|r| uv + DVec2::from_angle(a) * (r * end.radius())));
-            best = ring.map(look).fold(best, nearer);
+            for a in (0..RING).map(|k| TAU * f64::from(k) / f64::from(RING)) {
+                for r in RING_RADII {
+                    look(&mut best, uv + DVec2::from_angle(a) * (r * end.radius()));
+                }
+            }
         }
         let mut step = SEED_STEP * end.radius();
         while step > LEAST_STEP_MM && best.0 > LEAST_STEP_MM {
-            let (from, at) = best;
+            let (from, at) = (best.0, best.1.truncate());
             for (i, j) in (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j))) {
-                best = nearer(best, look(at + DVec2::new(f64::from(i), f64::from(j)) * step));
+                look(&mut best, at + DVec2::new(f64::from(i), f64::from(j)) * step);
             }
             if best.0 >= from {
                 step /= 2.0;
             }
         }
-        (best.0 <= off - GAIN_MM).then(|| tip(best.1))
+        (best.0 <= off - GAIN_MM).then_some(best.1)
     }
 
     /// Middles of facets in front of which the step cuts and behind which the target stands.
@@ -252,9 +268,10 @@ impl Touch<'_> {
     /// Whether the tip may go straight from one place to another.
     fn clear(&self, a: DVec3, b: DVec3) -> bool {
         let n = (a.distance(b) / BETWEEN_MM).ceil() as usize;
+        let mut on = None;
         (1..n)
             .map(|k| a.lerp(b, k as f64 / n as f64))
-            .all(|p| self.exact.lowest(p.truncate(), self.lowest) <= p.z + SINK_MM)
+            .all(|p| self.exact.is_free(p.truncate(), p.z + SINK_MM, self.lowest, &mut on))
     }
 }
 
