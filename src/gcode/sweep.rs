@@ -307,10 +307,30 @@ fn unswept(
     let plane = lowest.plane;
     let reach = tool.active_radius() + slack;
     let near = offsets(reach / lowest.cells.side);
-    let missed = points.iter().filter(|p| !lowest.swept(**p, tool, &near, slack));
-    let missed: Vec<DVec3> = missed.copied().collect();
-    // The lowest tip of a cell may pass by what a higher one, nearer to it, takes.
     let seen = |p: DVec3| (plane.across(p), plane.height(p));
+    // What is over a point that is swept is swept as well: of each column the lowest that is known.
+    let mut columns: Vec<Option<(DVec2, f64)>> = vec![None; lowest.cells.count()];
+    let mut is_missed = vec![false; points.len()];
+    let mut look = |(p, is_missed): (&DVec3, &mut bool)| {
+        let (uv, z) = seen(*p);
+        let column = lowest.cells.at(uv).map(|c| &mut columns[c]);
+        if column.as_ref().is_some_and(|c| c.is_some_and(|(at, low)| at == uv && low <= z)) {
+            return;
+        }
+        *is_missed = !lowest.swept(*p, tool, &near, slack);
+        if let Some(column) = column.filter(|_| !*is_missed) {
+            *column = Some((uv, z));
+        }
+    };
+    // From below, which along an axis of the grid is the points' order or its reverse.
+    let all = points.iter().zip(&mut is_missed);
+    match plane.d.element_sum() >= 0.0 {
+        true => all.for_each(&mut look),
+        false => all.rev().for_each(&mut look),
+    }
+    let missed = points.iter().zip(&is_missed).filter(|(_, missed)| **missed);
+    let missed: Vec<DVec3> = missed.map(|(p, _)| *p).collect();
+    // The lowest tip of a cell may pass by what a higher one, nearer to it, takes.
     let cells = Cells::over(lowest.cells.origin, lowest.cells.end(), reach);
     let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
     for (i, p) in missed.iter().enumerate() {
@@ -478,5 +498,41 @@ mod tests {
         assert!(left(-1.6, &tips[..1]));
         assert!(!left(-1.6, &tips));
         assert!(left(-1.8, &tips));
+    }
+
+    /// Points over one that is swept are taken for swept without a look of their own: the same are left
+    /// as when each is looked at alone, in whatever order they come.
+    #[test]
+    fn columns_are_swept_as_their_points_are() {
+        let machine = Machine::builtin("generic-5axis").unwrap();
+        let tool = machine.tools_of(ToolKind::Subtractive)[0].clone();
+        let way = |x, y, z| Direction::new(DVec3::new(x, y, z)).unwrap();
+        for d in
+            [Direction::Z, Direction::NEG_Z, Direction::X, Direction::NEG_Y, way(1.0, 2.0, 2.0)]
+        {
+            let plane = d.image_plane();
+            let (low, high) = (DVec2::splat(-12.0), DVec2::splat(12.0));
+            let mut lowest = Lowest::over(low, high, 0.25, plane);
+            let tip = |i: usize| {
+                let a = i as f64;
+                plane.world(
+                    DVec2::new(3.0 * (a * 0.7).cos(), 4.0 * (a * 0.3).sin()),
+                    (a * 0.2).sin(),
+                )
+            };
+            let tips: Vec<DVec3> = (0..60).map(tip).collect();
+            tips.iter().for_each(|t| assert!(lowest.note(*t)));
+            let frame = Frame { pitch: 0.5, dims: [24, 24, 24], origin: DVec3::splat(-6.0) };
+            let all = BitGrid::from_fn(frame.dims, |_| true);
+            let points: Vec<DVec3> = all.iter_ones().map(|v| frame.center(v)).collect();
+            let left =
+                |points: &[DVec3]| unswept(points, &lowest, &tool, tips.iter().copied(), 0.25);
+            let together = left(&points);
+            let alone: Vec<DVec3> = points.iter().flat_map(|p| left(&[*p])).collect();
+            assert_eq!(together, alone, "{d:?}");
+            assert!(together.len() > 1000 && together.len() + 500 < points.len());
+            let reversed: Vec<DVec3> = points.iter().rev().copied().collect();
+            assert_eq!(left(&reversed).len(), together.len());
+        }
     }
 }

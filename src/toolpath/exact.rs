@@ -224,6 +224,20 @@ impl Exact {
             && self.past(at, of.margin, z) <= z
     }
 
+    /// A height under which shank and holder let no tip within `reach` of a place, across.
+    pub fn least_guard(&self, at: DVec2, reach: f64, of: &Lowest) -> f64 {
+        let lattice = of.guard.lattice;
+        // Every tip has its nearest cell among those around it.
+        let (low, high) = (at - reach - lattice.s, at + reach + lattice.s);
+        let cell = |p: DVec2| ((p - lattice.origin) / lattice.s).round().max(DVec2::ZERO);
+        let (low, high) = (cell(low), cell(high));
+        let range = |low: f64, high: f64, n: usize| low as usize..(high as usize + 1).min(n);
+        range(low.y, high.y, lattice.n[1])
+            .flat_map(|j| range(low.x, high.x, lattice.n[0]).map(move |i| [i, j]))
+            .map(|c| of.guard.at(c))
+            .fold(f64::INFINITY, f64::min)
+    }
+
     /// The highest of the cells around: what shank and holder ask for, and above which nothing rests. None
     /// outside the lattice.
     fn around(&self, at: DVec2, of: &Lowest) -> Option<[f64; 2]> {
@@ -350,6 +364,7 @@ fn standing(
 ) -> Vec<[DVec3; 3]> {
     let plane = work.step.direction.image_plane();
     let h = work.frame.pitch;
+    let solids = Blocks::of(solid, work.frame);
     let pieces: Vec<Vec<[DVec3; 3]>> = (0..mesh.triangles().len())
         .into_par_iter()
         .map(|t| {
@@ -368,8 +383,20 @@ fn standing(
                 let of = |grid: &BitGrid| sides.iter().flatten().any(|v| grid.get(*v));
                 of(solid) || (!of(whole) && lost(p, work.frame, solid, whole))
             };
+            let may_stand = |t: &[DVec3; 3]| {
+                let [a, b, c] = *t;
+                solids.any_near(a.min(b).min(c), a.max(b).max(c))
+            };
+            let judge = Judge {
+                judged: JUDGED_PITCH * h,
+                least: h,
+                stands: &stands,
+                may_stand: &may_stand,
+            };
             let mut out = Vec::new();
-            divide(&corners, JUDGED_PITCH * h, h, &stands, &mut out);
+            if judge.whole(&corners, &mut out) {
+                out.push(corners);
+            }
             out
         })
         .collect();
@@ -377,56 +404,85 @@ fn standing(
     pieces.into_iter().flatten().map(|t| t.map(turned)).collect()
 }
 
-/// Adds the standing pieces of a triangle; true when all of it stands and nothing was added.
-fn divide(
-    t: &[DVec3; 3],
+/// How the pieces of a triangle are judged.
+struct Judge<'a> {
+    /// Sides of pieces that are judged by their corners and middle, and of those that are not divided, mm.
     judged: f64,
     least: f64,
-    stands: &dyn Fn(DVec3) -> bool,
-    out: &mut Vec<[DVec3; 3]>,
-) {
-    if whole(t, judged, least, stands, out) {
-        out.push(*t);
+    stands: &'a dyn Fn(DVec3) -> bool,
+    /// False where no point of a piece stands.
+    may_stand: &'a dyn Fn(&[DVec3; 3]) -> bool,
+}
+
+impl Judge<'_> {
+    /// Adds the standing pieces of a triangle; true when all of it stands and nothing was added.
+    fn whole(&self, t: &[DVec3; 3], out: &mut Vec<[DVec3; 3]>) -> bool {
+        let [a, b, c] = *t;
+        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+        let middle = (a + b + c) / 3.0;
+        if longest <= self.least {
+            return (self.stands)(middle);
+        }
+        if !(self.may_stand)(t) {
+            return false;
+        }
+        let (d, e, f) = ((a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0);
+        if longest <= self.judged {
+            let pull = |p: DVec3| p.lerp(middle, 0.1);
+            let found = [a, b, c, d, e, f, middle].map(|p| (self.stands)(pull(p)));
+            if found.iter().all(|s| *s == found[0]) {
+                return found[0];
+            }
+        }
+        let parts = [[a, d, f], [d, b, e], [f, e, c], [d, e, f]];
+        let before = out.len();
+        let mut all = true;
+        let mut held: Vec<[DVec3; 3]> = Vec::new();
+        for p in &parts {
+            if self.whole(p, out) {
+                held.push(*p);
+            } else {
+                all = false;
+            }
+        }
+        if all && out.len() == before {
+            return true;
+        }
+        out.extend(held);
+        false
     }
 }
 
-fn whole(
-    t: &[DVec3; 3],
-    judged: f64,
-    least: f64,
-    stands: &dyn Fn(DVec3) -> bool,
-    out: &mut Vec<[DVec3; 3]>,
-) -> bool {
-    let [a, b, c] = *t;
-    let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
-    let middle = (a + b + c) / 3.0;
-    if longest <= least {
-        return stands(middle);
-    }
-    let (d, e, f) = ((a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0);
-    if longest <= judged {
-        let pull = |p: DVec3| p.lerp(middle, 0.1);
-        let found = [a, b, c, d, e, f, middle].map(|p| stands(pull(p)));
-        if found.iter().all(|s| *s == found[0]) {
-            return found[0];
+/// Which blocks of a grid have any voxel of a set.
+struct Blocks<'a> {
+    frame: &'a Frame,
+    any: BitGrid,
+}
+
+impl<'a> Blocks<'a> {
+    /// Voxels along a block's sides.
+    const SIDE: usize = 8;
+
+    fn of(set: &BitGrid, frame: &'a Frame) -> Blocks<'a> {
+        let mut any = BitGrid::new(set.dims().map(|n| n.div_ceil(Self::SIDE).max(1)));
+        for (y, z, x, len) in set.runs() {
+            for block in x / Self::SIDE..=(x + len - 1) / Self::SIDE {
+                any.set([block, y / Self::SIDE, z / Self::SIDE], true);
+            }
         }
+        Blocks { frame, any }
     }
-    let parts = [[a, d, f], [d, b, e], [f, e, c], [d, e, f]];
-    let before = out.len();
-    let mut all = true;
-    let mut held: Vec<[DVec3; 3]> = Vec::new();
-    for p in &parts {
-        if whole(p, judged, least, stands, out) {
-            held.push(*p);
-        } else {
-            all = false;
-        }
+
+    /// False only where no voxel within two of a box is in the set.
+    fn any_near(&self, low: DVec3, high: DVec3) -> bool {
+        let reach = 2.0 * self.frame.pitch;
+        let block = |p: DVec3| (self.frame.grid_from_world(p) / Self::SIDE as f64).floor();
+        let (low, high) = (block(low - reach), block(high + reach));
+        let dims = self.any.dims();
+        let range =
+            |a: usize| low[a].max(0.0) as usize..((high[a] + 1.0).max(0.0) as usize).min(dims[a]);
+        range(2).any(|z| range(1).any(|y| range(0).any(|x| self.any.get([x, y, z]))))
     }
-    if all && out.len() == before {
-        return true;
-    }
-    out.extend(held);
-    false
 }
 
 /// A lattice's image of steepness: the tangent of the slope at each finite cell.
@@ -449,4 +505,79 @@ pub(super) fn steepness(lattice: &Lattice, bottom: &[f32]) -> Vec<f32> {
             u.hypot(v) / lattice.s as f32
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Replay;
+    use super::super::near::voxels_near;
+    use super::super::tests::pocket;
+    use super::*;
+    use crate::base::Ctx;
+    use crate::voxel::surface;
+    use rand::RngExt;
+
+    #[test]
+    fn whether_a_tip_is_free_is_what_the_lowest_says() {
+        let mut w = pocket("generic-5axis");
+        let frame = w.job.frame;
+        w.job.target_mesh = surface(&w.job.target, &frame).unwrap();
+        w.job.initial_mesh = surface(&w.job.initial, &frame).unwrap();
+        let replay = Replay::of(&w.job, &w.plan).unwrap();
+        let meshes = [&w.job.target_mesh, &w.job.initial_mesh];
+        let surfaces = meshes.map(|m| voxels_near(m, &frame));
+        for tool in w.job.cutters.iter().filter(|t| End::of(t).is_some()) {
+            let work = Work {
+                job: &w.job,
+                frame: &frame,
+                step: &w.plan.steps[0],
+                tool,
+                before: &replay.states[0],
+                after: &replay.states[1],
+                fixed: &replay.fixed[0],
+                surfaces: &surfaces,
+                ctx: &Ctx::quiet(),
+            };
+            let free = Free::around(&work, work.after, tool.active_radius());
+            let exact = Exact::of(&work, &free).unwrap().unwrap();
+            let lowest = exact.heights(&work, &free, 0.25, 0.25, 0.0).unwrap();
+            let mut rng = crate::base::rng(3, 0);
+            let (mut on, mut free_ones) = (None, 0);
+            for _ in 0..2000 {
+                let at = DVec2::new(rng.random_range(3.0..21.0), rng.random_range(2.0..17.0));
+                let z = exact.lowest(at, &lowest);
+                for most in [z - 0.5, z - 1e-9, z, z + 1e-9, z + 0.5, 3.0, 9.0, f64::INFINITY] {
+                    let is_free = exact.is_free(at, most, &lowest, &mut on);
+                    assert_eq!(is_free, z <= most, "{} at {at}: {z}, {most}", tool.name);
+                    free_ones += usize::from(is_free);
+                }
+                let by = DVec2::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0));
+                assert!(exact.least_guard(at + by, 1.5, &lowest) <= z, "{} at {at}", tool.name);
+            }
+            assert!(free_ones > 8000, "{free_ones}");
+        }
+    }
+
+    #[test]
+    fn blocks_pass_over_no_voxel_near() {
+        let frame = Frame { pitch: 0.5, dims: [40, 33, 29], origin: DVec3::new(-3.0, 1.0, 2.0) };
+        let set = BitGrid::from_fn(frame.dims, |[x, y, z]| (x * 7 + y * 11 + z * 13) % 1999 == 0);
+        let blocks = Blocks::of(&set, &frame);
+        let mut rng = crate::base::rng(4, 0);
+        let mut passed = 0;
+        for _ in 0..2000 {
+            let low = DVec3::from_array([0; 3].map(|_| rng.random_range(-5.0..20.0)));
+            let high = low + DVec3::from_array([0; 3].map(|_| rng.random_range(0.0..4.0)));
+            let reach = 2.0 * frame.pitch;
+            let within = |v: [usize; 3]| {
+                let p = frame.center(v);
+                p.cmpge(low - reach).all() && p.cmple(high + reach).all()
+            };
+            let any = set.iter_ones().any(within);
+            let near = blocks.any_near(low, high);
+            assert!(near || !any, "{low} to {high}");
+            passed += usize::from(!near);
+        }
+        assert!(passed > 100, "{passed}");
+    }
 }

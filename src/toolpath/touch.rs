@@ -53,6 +53,10 @@ const GAIN_MM: f64 = 0.02;
 /// So many facets beside a point that no position helps, none is looked for where no more is left.
 const BARREN_FACETS: f64 = 1.5;
 
+/// Points that are looked at together: more keep more threads busy, fewer know more of what helped those
+/// before them.
+const AT_A_TIME: usize = 16;
+
 /// Cosine of the angle between the normals of two such points, 18°.
 const ALIKE: f64 = 0.95;
 
@@ -139,30 +143,49 @@ impl Touch<'_> {
         let cells = Cells::over(lo - margin, hi + margin, far.max(1.0));
         let (mut tips, mut barren) = (Listed::over(cells), Listed::over(cells));
         let beside = BARREN_FACETS * FACET_PITCH * self.work.frame.pitch;
-        for p in &left {
-            self.work.ctx.check()?;
-            let near = tips.around(p.at, far).map(|t: DVec3| from_edge(end, edge, t, p.at));
-            let off = near.fold(most, f64::min);
-            if off <= least {
-                continue;
-            }
-            let off = swept.distance(p.at, off);
+        let off_tips = |tips: &Listed<DVec3>, p: &Point| {
+            let near = tips.around(p.at, far).map(|t| from_edge(end, edge, t, p.at));
+            near.fold(most, f64::min)
+        };
+        let in_vain = |barren: &Listed<(f64, Point)>, p: &Point, off: f64| {
             let like = |q: &Point| q.at.distance(p.at) < beside && q.normal.dot(p.normal) > ALIKE;
-            let in_vain = |(more, q): (f64, Point)| off <= more && like(&q);
-            if barren.around(p.at, beside).any(in_vain) {
-                continue;
-            }
-            match self.nearest(*p, off) {
-                Some(tip) => tips.add(tip, tip),
-                None => barren.add(p.at, (off + GAIN_MM, *p)),
+            barren.around(p.at, beside).any(|(more, q)| off <= more && like(&q))
+        };
+        for some in left.chunks(AT_A_TIME) {
+            self.work.ctx.check()?;
+            let look = |p: &Point| {
+                let off = off_tips(&tips, p);
+                if off <= least {
+                    return None;
+                }
+                let off = swept.distance(p.at, off);
+                (!in_vain(&barren, p, off)).then(|| (off, self.nearest(*p, off)))
+            };
+            let found: Vec<_> = some.par_iter().map(look).collect();
+            // Those before it in the same turn may have helped a point, or shown that nothing does.
+            for (p, (off, found)) in some.iter().zip(found).filter_map(|(p, f)| Some((p, f?))) {
+                let off = off.min(off_tips(&tips, p));
+                if off <= least || in_vain(&barren, p, off) {
+                    continue;
+                }
+                match found.filter(|(at, _)| *at <= off - GAIN_MM) {
+                    Some((_, tip)) => tips.add(tip, tip),
+                    None => barren.add(p.at, (off + GAIN_MM, *p)),
+                }
             }
         }
         self.joined(&tips)
     }
 
-    /// The tip from which the edge comes nearest to a point, when that is nearer than `off`.
-    fn nearest(&self, p: Point, off: f64) -> Option<DVec3> {
+    /// The tip from which the edge comes nearest to a point and how near it comes, when that is nearer than
+    /// `off`.
+    fn nearest(&self, p: Point, off: f64) -> Option<(f64, DVec3)> {
         let (end, edge) = (self.exact.end(), self.work.tool.active_length());
+        // Nothing of the edge is lower than its tip.
+        let reach = end.radius() + off;
+        if self.exact.least_guard(p.at.truncate(), reach, self.lowest) > p.at.z + off {
+            return None;
+        }
         let (normal, uv, lowest) = (p.normal.truncate(), p.at.truncate(), p.at.z - edge);
         let mut best = (f64::INFINITY, uv.extend(lowest));
         let mut on = None;
@@ -203,7 +226,7 @@ impl Touch<'_> {
                 step /= 2.0;
             }
         }
-        (best.0 <= off - GAIN_MM).then_some(best.1)
+        (best.0 <= off - GAIN_MM).then_some(best)
     }
 
     /// Middles of facets in front of which the step cuts and behind which the target stands.
