@@ -29,6 +29,7 @@ mod ramp;
 mod rowmax;
 mod slice;
 mod specks;
+mod standing;
 mod swept;
 mod timing;
 mod touch;
