@@ -21,8 +21,9 @@
 //! a pit's walls: of forty tried on a real part one helped.
 //!
 //! Guarantees: those of cuts and deposits; a plan with pits ranks higher and leaves less than the one
-//! without, and gives up at most a fifth of the target for it. Not guaranteed: that the pits are the
-//! smallest, or their order the best.
+//! without, and where that one is within the rules it gives up at most a fifth of the target for it. What stood
+//! within the tolerance of material given up is cut with it or counts as left. Not guaranteed: that the pits are
+//! the smallest, or their order the best.
 
 use super::cutting::cut_along;
 use super::laying::{Way, ways_along};
