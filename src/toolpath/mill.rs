@@ -12,6 +12,7 @@
 //! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`), but for crevices
 //! that only the voxels leave room for. Not guaranteed: a constant engagement.
 
+use super::between::{Between, cuts};
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, Lowest, steepness};
 use super::faces::{faces, rows};
@@ -165,6 +166,21 @@ impl Free {
         profile.dilate(&self.obstacles, self.window, self.highest, ctx)
     }
 
+    /// Whether the edge of a tool at a tip holds no obstacle; shank and holder are not looked at.
+    pub fn is_clear(&self, tool: &Tool, tip: DVec3) -> bool {
+        let l = self.obstacles.lattice;
+        let (at, radius) = (tip.truncate(), tool.active_radius());
+        let (low, high) = ((at - radius - l.origin) / l.s, (at + radius - l.origin) / l.s);
+        let range = |low: f64, high: f64, n: usize| {
+            low.ceil().max(0.0) as usize..((high.floor() + 1.0).max(0.0) as usize).min(n)
+        };
+        let (us, vs) = (range(low.x, high.x, l.n[0]), range(low.y, high.y, l.n[1]));
+        vs.flat_map(|j| us.clone().map(move |i| [i, j])).all(|c| {
+            let over = self.obstacles.at(c) - SAME_HEIGHT_MM - tip.z;
+            over <= tool.active_lower_surface(l.uv(c).distance(at))
+        })
+    }
+
     /// An image as large as the obstacles', without any.
     pub fn empty(&self) -> Image {
         Image::empty(self.obstacles.lattice)
@@ -204,6 +220,8 @@ struct Stage<'a> {
     moves: Vec<Move>,
     /// Lowest tip of the cuts so far over each cell, its sign turned.
     swept: Image,
+    /// Tips between the cells, as (u, v, height).
+    between: Vec<DVec3>,
     /// Moves of which it has the cuts.
     noted: usize,
 }
@@ -266,6 +284,7 @@ impl<'a> Stage<'a> {
             aside: DVec2::ZERO,
             moves: Vec::new(),
             swept: Image::empty(lattice),
+            between: Vec::new(),
             noted: 0,
         })
     }
@@ -429,6 +448,7 @@ impl<'a> Stage<'a> {
         // so much is left that the plan's volume is not cut goes at the price of a pitch's gouge, and so does
         // what is deeper than the rules allow. Deep
         // is meant to all sides: along a wall a cell's width that is left is none.
+        self.rest_between_cells(half)?;
         let (_, share) = self.uncovered(half, half)?;
         let plain = self.free.heights(self.work.tool, 0.0, 0.0, self.work.ctx)?.data;
         let tolerance = self.work.job.rules.tolerance_mm;
@@ -444,6 +464,24 @@ impl<'a> Stage<'a> {
             self.rest_over(&plain, deepest, deepest)?;
         }
         Ok(self.uncovered(half, half)?.1)
+    }
+
+    /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any.
+    fn rest_between_cells(&mut self, half: f64) -> Result<(), Cancelled> {
+        let (left, _) = self.uncovered(half, half)?;
+        let left: Vec<DVec3> = left.iter().map(|(uv, z)| uv.extend(f64::from(*z))).collect();
+        let Some(exact) = self.meshes.as_ref().filter(|_| !left.is_empty()) else {
+            return Ok(());
+        };
+        let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
+        let between =
+            Between { exact, lowest, free: &self.free, tool: work.tool, cell, slack: half };
+        let tips = between.tips(&left, work.ctx)?;
+        let touch = Touch { work, exact, lowest, stock: self.process.stock };
+        let ways = touch.joined(tips.clone(), &|tip| self.free.is_clear(work.tool, tip))?;
+        self.between.extend(tips);
+        ways.into_iter().for_each(|way| self.touch_along(way));
+        Ok(())
     }
 
     /// Cuts what the tips passed by of a region of a few voxels, however `share` of it was covered
@@ -541,6 +579,8 @@ impl<'a> Stage<'a> {
                 left.push((uv, height));
             }
         }
+        let is_cut = |p: DVec3| self.between.iter().any(|t| cuts(tool, *t, p, [slack, side]));
+        left.retain(|(uv, z)| !is_cut(uv.extend(f64::from(*z))));
         let share = 1.0 - left.len() as f64 / all.max(1) as f64;
         Ok((left, share))
     }

@@ -9,6 +9,7 @@
 //! the same plan gives the same paths at any thread count. Not guaranteed: machine limits, which
 //! the post checks; surfaces finer than the voxels.
 
+mod between;
 mod cells;
 mod comb;
 mod contour;

@@ -221,6 +221,36 @@ fn of_a_few_voxels_none_is_passed_by() {
     }
 }
 
+/// A slot hardly wider than the cutter, whose middle runs between two rows of the lattice: tips of either row
+/// are free of the voxels' middles and 0.3 mm deep in a wall.
+#[test]
+fn a_slot_between_two_rows_of_the_lattice_is_cut_without_a_gouge() {
+    let slot: Part = |p| p.y > 8.8 && p.y < 12.0 && p.z > 4.8;
+    let stock: Part = |p| p.x > 1.6 && p.x < 22.4 && p.y > 1.6 && p.y < 18.4 && p.z < 12.0;
+    let cut = [(StepKind::Subtractive, DVec3::Z, slot)];
+    let mut w = world("generic-5axis", 0.8, DVec3::new(24.0, 20.0, 14.4), stock, &cut);
+    let part = |y0: f64, y1: f64, top: f64| {
+        TriMesh::cuboid(DVec3::new(1.6, y0, 0.0), DVec3::new(22.4, y1, top))
+    };
+    w.job.initial_mesh = part(1.6, 18.4, 12.0);
+    let walls = [part(1.6, 8.8, 12.0), part(8.8, 12.0, 4.8), part(12.0, 18.4, 12.0)];
+    w.job.target_mesh = TriMesh::joined(&walls);
+    let path = paths(&w).remove(0);
+    assert_eq!(path.figures.coverage, 1.0);
+    let tool = &w.job.cutters[0];
+    let mut low = 0;
+    for tip in path.moves.iter().filter(|m| m.kind == MoveKind::Cut).map(|m| m.tip) {
+        let past = (1.6 - tip.x).max(tip.x - 22.4).max(0.0);
+        for wall in [8.8, 12.0] {
+            let over = tip.z + tool.lower_surface((tip.y - wall).hypot(past));
+            assert!(over > 12.0 - 0.01, "{tip}");
+        }
+        assert!(tip.z + tool.lower_surface(past) > 4.79, "{tip}");
+        low += usize::from(tip.z < 5.0);
+    }
+    assert!(low > 20, "{low}");
+}
+
 #[test]
 fn rapids_run_high_or_straight_up() {
     for (name, make) in WORLDS {

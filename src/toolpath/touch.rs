@@ -133,9 +133,7 @@ impl Touch<'_> {
             .collect();
         // From below: the edge reaches up a wall, not down.
         left.sort_by(|a, b| a.at.z.total_cmp(&b.at.z));
-        let uv = left.iter().map(|p| p.at.truncate());
-        let (lo, hi) =
-            uv.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+        let (lo, hi) = bounds(left.iter().map(|p| p.at.truncate()));
         if left.is_empty() {
             return Ok(Vec::new());
         }
@@ -174,7 +172,7 @@ impl Touch<'_> {
                 }
             }
         }
-        self.joined(&tips)
+        self.joined(tips.items, &|_| true)
     }
 
     /// The tip from which the edge comes nearest to a point and how near it comes, when that is nearer than
@@ -258,9 +256,23 @@ impl Touch<'_> {
         triangles.flat_map_iter(pieces).filter_map(point).collect()
     }
 
-    /// Tips near each other as ways, as far as they can be joined.
-    fn joined(&self, tips: &Listed<DVec3>) -> Result<Vec<Vec<DVec3>>, Cancelled> {
+    /// Tips near each other as ways, as far as they can be joined over places that `may` be gone to besides.
+    ///
+    /// # Errors
+    /// When the user stops the run.
+    pub fn joined(
+        &self,
+        tips: Vec<DVec3>,
+        may: &dyn Fn(DVec3) -> bool,
+    ) -> Result<Vec<Vec<DVec3>>, Cancelled> {
         let apart = JOINED_FACETS * FACET_PITCH * self.work.frame.pitch;
+        if tips.is_empty() {
+            return Ok(Vec::new());
+        }
+        let (lo, hi) = bounds(tips.iter().map(|t| t.truncate()));
+        let mut listed = Listed::over(Cells::over(lo, hi, apart.max(1.0)));
+        tips.into_iter().for_each(|t| listed.add(t, t));
+        let tips = listed;
         let mut gone = vec![false; tips.items.len()];
         let mut ways = Vec::new();
         for first in 0..gone.len() {
@@ -278,7 +290,7 @@ impl Touch<'_> {
                     .filter(|(d, _)| *d <= apart)
                     .collect();
                 next.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-                let clear = |i: &usize| self.clear(at, tips.items[*i]);
+                let clear = |i: &usize| self.clear(at, tips.items[*i], may);
                 let Some(i) = next.into_iter().map(|(_, i)| i).find(clear) else { break };
                 gone[i] = true;
                 way.push(tips.items[i]);
@@ -289,13 +301,18 @@ impl Touch<'_> {
     }
 
     /// Whether the tip may go straight from one place to another.
-    fn clear(&self, a: DVec3, b: DVec3) -> bool {
+    fn clear(&self, a: DVec3, b: DVec3, may: &dyn Fn(DVec3) -> bool) -> bool {
         let n = (a.distance(b) / BETWEEN_MM).ceil() as usize;
         let mut on = None;
-        (1..n)
-            .map(|k| a.lerp(b, k as f64 / n as f64))
-            .all(|p| self.exact.is_free(p.truncate(), p.z + SINK_MM, self.lowest, &mut on))
+        (1..n).map(|k| a.lerp(b, k as f64 / n as f64)).all(|p| {
+            self.exact.is_free(p.truncate(), p.z + SINK_MM, self.lowest, &mut on) && may(p)
+        })
     }
+}
+
+/// Box of points; empty of none.
+fn bounds(uv: impl Iterator<Item = DVec2>) -> (DVec2, DVec2) {
+    uv.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)))
 }
 
 /// Things in the cells that they lie over.
