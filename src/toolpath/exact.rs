@@ -4,7 +4,7 @@
 //! outside M* on M from M's; triangles that only partly stand are divided until their pieces do or
 //! do not. The end of the cutter rests on those by drop-cutter. Faces that cuts leave inside M
 //! have no triangles: there the voxels are the obstacle, with their margin; so are they, without one,
-//! where material stands that later steps cut. Shank and holder are held against the voxels alone.
+//! where material stands that later steps cut, supports among it. Shank and holder are held against the voxels alone.
 //!
 //! Guarantees: over a surface of M or M* that stands, the tip is exact to rounding at every cell of
 //! the lattice. Not guaranteed: within a voxel of the rim between two surfaces.
@@ -58,15 +58,15 @@ impl Exact {
         if meshes.iter().all(|m| m.is_empty()) {
             return Ok(None);
         }
-        // What stands of either mesh's solid on its own side.
-        let stands = [work.after.and(&work.job.target), work.after.minus(&work.job.target)];
+        // What stands of either mesh's solid on its own side. Supports are of neither.
+        let outside = work.job.initial.minus(&work.job.target);
+        let stands = [work.after.and(&work.job.target), work.after.and(&outside)];
         let lattice = free.window;
         let margin = DVec2::splat(end.radius() + h);
         let far = lattice.uv([lattice.n[0] - 1, lattice.n[1] - 1]) + margin;
         let near = lattice.origin - margin;
         let within = |p: DVec2| p.cmpge(near).all() && p.cmple(far).all();
         let mut triangles = Vec::new();
-        let outside = work.job.initial.minus(&work.job.target);
         let wholes = [&work.job.target, &outside];
         for ((mesh, solid), whole) in meshes.iter().zip(&stands).zip(wholes) {
             triangles.extend(standing(mesh, [solid, whole], work, [near, far]));
@@ -78,8 +78,8 @@ impl Exact {
             .map(|v| (*v, work.frame.center(*v)))
             .filter(|(_, p)| within(plane.across(*p)))
             .filter(|(v, _)| {
-                let side = usize::from(!work.job.target.get(*v));
-                !work.surfaces[side].get(*v)
+                let side = wholes.iter().position(|whole| whole.get(*v));
+                side.is_none_or(|side| !work.surfaces[side].get(*v))
             })
             .collect();
         let (mut faces, mut passing) = (free.empty(), free.empty());

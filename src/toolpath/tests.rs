@@ -251,6 +251,27 @@ fn a_slot_between_two_rows_of_the_lattice_is_cut_without_a_gouge() {
     assert!(low > 20, "{low}");
 }
 
+/// Supports beside a face of the initial part were taken for its solid, whose face they hide: nothing kept the
+/// cutter off them.
+#[test]
+fn supports_beside_a_face_of_the_initial_part_are_not_passed_through() {
+    let on_top: Part = |p| p.x > 6.0 && p.x < 18.0 && p.y > 5.0 && p.y < 15.0 && p.z < 12.5;
+    let half: Part = |p| p.z > 12.0 && p.x < 12.0;
+    let rest: Part = |p| p.z > 12.0;
+    let (add, cut) = (StepKind::Additive, StepKind::Subtractive);
+    let steps = [(add, DVec3::Z, on_top), (cut, DVec3::Z, half), (cut, DVec3::Z, rest)];
+    let mut w = world("generic-5axis", 0.5, DVec3::new(24.0, 20.0, 16.0), block, &steps);
+    let mesh = TriMesh::cuboid(DVec3::new(2.0, 2.0, 0.0), DVec3::new(22.0, 18.0, 12.0));
+    (w.job.initial_mesh, w.job.target_mesh) = (mesh.clone(), mesh);
+    let paths = paths(&w);
+    let after = w.job.initial.or(&w.plan.steps[2].region);
+    let points: Vec<DVec3> = after.boundary().iter_ones().map(|v| w.job.frame.center(v)).collect();
+    let cuts = paths[1].moves.iter().filter(|m| m.kind == MoveKind::Cut);
+    for m in cuts {
+        assert!(!touches(&w.job.cutters[0], &points, Direction::Z, m.tip, 0.02), "{m:?}");
+    }
+}
+
 #[test]
 fn rapids_run_high_or_straight_up() {
     for (name, make) in WORLDS {
