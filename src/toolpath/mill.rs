@@ -7,12 +7,14 @@
 //! apart; rest cutting goes once more where region is still uncovered, with H without margin. Into
 //! material the tip goes by a ramp along the pass (see `ramp`).
 //!
-//! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells);
+//! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells), but for
+//! those of a region's last voxels, which are free of the points where they are (see `close_tip`);
 //! no pass is deeper than a step-down under what was cut beside it; rapids only at the safe height
 //! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`), but for crevices
 //! that only the voxels leave room for. Not guaranteed: a constant engagement.
 
 use super::between::{Between, cuts};
+use super::close_tip::Stays;
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, Lowest, steepness};
 use super::faces::{faces, rows};
@@ -40,6 +42,9 @@ const LEAST_SHARE: f64 = 0.985;
 /// nearest to: there a few of them, even a single one, are more than may be left.
 const FEW: usize = 4000;
 
+/// Of so few voxels that are left each gets a tip of its own, by exact distances.
+const FEWEST: usize = 64;
+
 /// Lumps this deep, as a share of the surface tolerance, are cut at the price of a gouge: the
 /// program's check finds those of the whole of it.
 const LUMP_SHARE: f64 = 0.9;
@@ -63,7 +68,7 @@ const NO_MOVE_MM: f64 = 0.02;
 /// Tips are looked for up to so many cells beside what they are to reach: a tapered edge 2 mm wide on
 /// cells of 0.03 mm. Wider edges reach from nearer by, and a point that none reaches costs a look at
 /// every cell.
-const FAR_CELLS: f64 = 64.0;
+pub(super) const FAR_CELLS: f64 = 64.0;
 
 /// What a step works on.
 pub(super) struct Work<'a> {
@@ -480,7 +485,11 @@ impl<'a> Stage<'a> {
         let touch = Touch { work, exact, lowest, stock: self.process.stock };
         let ways = touch.joined(tips.clone(), &|tip| self.free.is_clear(work.tool, tip))?;
         self.between.extend(tips);
-        ways.into_iter().for_each(|way| self.touch_along(way));
+        let reach = work.tool.active_radius() + half;
+        for way in ways {
+            let top = top_within(reach, &way, left.iter().copied());
+            self.touch_along(way, top);
+        }
         Ok(())
     }
 
@@ -497,6 +506,25 @@ impl<'a> Stage<'a> {
         let uncovered: Vec<(DVec2, f32)> = left.iter().map(|p| self.seen(*p)).collect();
         let plain = self.free.heights(tool, 0.0, 0.0, ctx)?.data;
         self.lower_over(&uncovered, &plain)?;
+        let left = self.passed_by(&points, half);
+        if share_of(&left) >= LEAST_SHARE || left.len() > FEWEST {
+            return Ok(share_of(&left));
+        }
+        let stays = Stays::of(self.work, self.lattice);
+        let (plane, reach) = (self.lattice.plane, tool.active_radius() + half);
+        let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
+        for p in left.iter().copied() {
+            ctx.check()?;
+            if self.passed_by(&[p], half).is_empty() {
+                continue;
+            }
+            if let Some(tip) = stays.tip(turned(p), half) {
+                self.touch_along(
+                    vec![tip],
+                    top_within(reach, &[tip], left.iter().copied().map(turned)),
+                );
+            }
+        }
         Ok(share_of(&self.passed_by(&points, half)))
     }
 
@@ -613,14 +641,15 @@ impl<'a> Stage<'a> {
         let (work, lowest, stock) = (self.work, &self.fine, self.process.stock);
         let ways = Touch { work, exact, lowest, stock }.ways(cuts)?;
         for way in ways {
-            self.touch_along(way);
+            self.touch_along(way, f64::NEG_INFINITY);
         }
         Ok(())
     }
 
-    /// Along a way and back in levels, from where material may still stand beside what was cut.
-    fn touch_along(&mut self, mut way: Vec<DVec3>) {
-        let top = way.iter().map(|t| self.stands_over(*t)).fold(f64::NEG_INFINITY, f64::max);
+    /// Along a way and back in levels, from where material may still stand beside what was cut, or from
+    /// `top` if that is higher.
+    fn touch_along(&mut self, mut way: Vec<DVec3>, top: f64) {
+        let top = way.iter().map(|t| self.stands_over(*t)).fold(top, f64::max);
         let deepest = way.iter().map(|t| t.z).fold(f64::INFINITY, f64::min);
         let step = self.process.step_down.max(LEAST_STEP_SHARE * self.lattice.s);
         let mut level = top;
@@ -834,8 +863,15 @@ impl<'a> Stage<'a> {
     }
 }
 
+/// Height of the highest of some voxels that lie no farther than `reach` aside of a tip: stock is known by cells,
+/// and may be out of reach of tips between them.
+fn top_within(reach: f64, tips: &[DVec3], voxels: impl Iterator<Item = DVec3>) -> f64 {
+    let near = |v: &DVec3| tips.iter().any(|t| t.truncate().distance(v.truncate()) <= reach);
+    voxels.filter(near).map(|v| v.z).fold(f64::NEG_INFINITY, f64::max)
+}
+
 /// Cells within a radius of one, the nearest first.
-fn within(radius: f64, s: f64) -> Vec<(i64, i64)> {
+pub(super) fn within(radius: f64, s: f64) -> Vec<(i64, i64)> {
     let cells = radius / s + 1e-9;
     let n = cells.floor() as i64;
     let all = (-n..=n).flat_map(|j| (-n..=n).map(move |i| (i, j)));

@@ -11,6 +11,7 @@
 
 mod between;
 mod cells;
+mod close_tip;
 mod comb;
 mod contour;
 mod cross;

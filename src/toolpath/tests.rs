@@ -1,7 +1,7 @@
 //! Small worlds that paths and programs are tested on, and what must hold on them.
 
 use super::*;
-use crate::base::Direction;
+use crate::base::{DVec2, Direction};
 use crate::machine::{Machine, Shape, ToolKind};
 use crate::mesh::TriMesh;
 use crate::plan::{Origin, Rules, Step};
@@ -270,6 +270,79 @@ fn supports_beside_a_face_of_the_initial_part_are_not_passed_through() {
     for m in cuts {
         assert!(!touches(&w.job.cutters[0], &points, Direction::Z, m.tip, 0.02), "{m:?}");
     }
+}
+
+/// A voxel at the rim of a hole as wide as the cutter: the one tip that gets at it is just within the edge's
+/// reach of it, but not of the middle of its cell, around which tips are looked for. The plan cuts it by exact
+/// distances; the step once got no path.
+#[test]
+fn what_is_cut_by_exact_distances_gets_a_path() {
+    let normals = crate::base::fibonacci_sphere(60).into_iter().map(|d| d.vec());
+    let mut cut = 0;
+    for n in normals.filter(|n| n.z > 0.8) {
+        let mut w = world("generic-5axis", 0.8, DVec3::new(24.0, 20.0, 14.4), block, &[]);
+        let (frame, tool) = (w.job.frame, w.job.cutters[0].clone());
+        let direction = Direction::new(n).unwrap();
+        let (plane, s, reach) = (direction.image_plane(), frame.pitch / 2.0, tool.active_radius());
+        let origin = plane.across(frame.center([0; 3]));
+        let cell = |p: DVec3| ((plane.across(p) - origin) / s).round();
+        // A voxel, and a tip that is only in reach by where the voxel is.
+        let middle = DVec3::new(12.0, 10.0, 6.0);
+        let tip_of = |v: [usize; 3], to: DVec2| (cell(frame.center(v)) + to) * s + origin;
+        let is_rim = |v: [usize; 3], to: DVec2| {
+            let rho = plane.across(frame.center(v)).distance(tip_of(v, to));
+            rho < reach - 0.01 && to.length() * s > reach + 0.01
+        };
+        let offsets = (-5..=5).flat_map(|i| (-5..=5).map(move |j| [i, j]));
+        let offsets: Vec<DVec2> =
+            offsets.map(|[i, j]| DVec2::new(f64::from(i), f64::from(j))).collect();
+        let near = BitGrid::from_fn(frame.dims, |v| frame.center(v).distance(middle) < 2.5);
+        let at_rim = |v| Some(v).zip(offsets.iter().find(|to| is_rim(v, **to)));
+        let (voxel, to) = near.iter_ones().find_map(at_rim).unwrap();
+        let at = tip_of(voxel, *to);
+        let rho = |p: DVec3| {
+            let moved = cell(p) * s + origin;
+            plane.across(p).distance(at).min(moved.distance(at))
+        };
+        let p = frame.center(voxel);
+        let z = n.dot(p) - tool.active_lower_surface(plane.across(p).distance(at));
+        // All that stands in the way of the tip is gone before.
+        let hole = BitGrid::from_fn(frame.dims, |v| {
+            let p = frame.center(v);
+            n.dot(p) > z + tool.lower_surface(rho(p))
+        });
+        let few = BitGrid::from_fn(frame.dims, |v| v == voxel);
+        w.job.initial.subtract(&hole.minus(&few));
+        w.job.target.subtract(&hole.or(&few));
+        let close = crate::access::Close::new(&frame, &w.job.initial, (&few, &few), &[]);
+        let region = close.cut(&tool, direction);
+        assert_eq!(region, few, "along {n}");
+        cut += 1;
+        w.plan.steps.push(Step {
+            kind: StepKind::Subtractive,
+            tool: tool.name.clone(),
+            direction,
+            holding: 0,
+            region,
+            block: 0,
+            origin: Origin::default(),
+        });
+        let path = paths(&w).remove(0);
+        assert_eq!(path.figures.coverage, 1.0, "along {n}");
+        let cuts: Vec<DVec3> =
+            path.moves.iter().filter(|m| m.kind == MoveKind::Cut).map(|m| m.tip).collect();
+        let reaches = |tip: &DVec3| {
+            let rho = plane.across(p).distance(plane.across(*tip));
+            n.dot(*tip) + tool.active_lower_surface(rho - 1e-6) < n.dot(p) + 1e-6
+        };
+        assert!(cuts.iter().any(reaches), "along {n}");
+        let obstacles: Vec<DVec3> =
+            w.job.target.boundary().iter_ones().map(|v| frame.center(v)).collect();
+        for tip in cuts {
+            assert!(!touches(&tool, &obstacles, direction, tip, 1e-6), "along {n}");
+        }
+    }
+    assert!(cut > 4, "{cut}");
 }
 
 #[test]
