@@ -2,10 +2,10 @@
 //!
 //! Method: for a tip at (u, v) every triangle within the end's radius is met by its face, its
 //! edges and its corners, each in closed form for ball and flat ends; along an edge a bull-nose end
-//! is met by golden section, since height less the convex end is concave there. The greatest
-//! of all contact heights is the answer.
+//! is met by golden section, since height less the convex end is concave there. A tapered end is its ball and
+//! its cone, each met by itself. The greatest of all contact heights is the answer.
 //!
-//! Guarantees: ball and flat ends to rounding, bull-nose ends to [`EDGE_MM`] along the edge.
+//! Guarantees: ball and flat ends to rounding, bull-nose ends and cones to [`EDGE_MM`] along the edge.
 //! Not guaranteed: what lies outside the end's radius; shank and holder are somebody else's.
 
 use crate::base::{DVec2, DVec3};
@@ -20,15 +20,31 @@ const BOUND_MM: f64 = 1e-5;
 /// The end of a cutter, up to its radius.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum End {
-    Ball { radius: f64 },
-    Flat { radius: f64 },
-    Bull { radius: f64, corner: f64 },
+    Ball {
+        radius: f64,
+    },
+    Flat {
+        radius: f64,
+    },
+    Bull {
+        radius: f64,
+        corner: f64,
+    },
+    /// A ball from whose equator the edge widens up to `widest`, `slope` mm higher for each mm.
+    Taper {
+        radius: f64,
+        widest: f64,
+        slope: f64,
+    },
 }
 
 impl End {
-    /// The end of a tool's active part; none for taper ends and tools without an edge.
+    /// The end of a tool's active part; none for tools without an edge, and for edges of other forms.
     pub fn of(tool: &Tool) -> Option<End> {
         let edges = || tool.sections.iter().filter(|s| s.active).map(|s| s.shape);
+        if let Some(taper) = End::tapered(tool) {
+            return Some(taper);
+        }
         let nose = edges().find(|s| s.lower_surface(0.0) == 0.0)?;
         let end = match nose {
             Shape::Ball { radius } => End::Ball { radius },
@@ -40,33 +56,66 @@ impl End {
         (tool.active_radius() <= end.radius() + 1e-9).then_some(end)
     }
 
-    pub fn radius(&self) -> f64 {
-        match *self {
-            End::Ball { radius } | End::Flat { radius } | End::Bull { radius, .. } => radius,
+    /// That of an edge of a ball and a cone on its equator.
+    fn tapered(tool: &Tool) -> Option<End> {
+        let mut edges = tool.sections.iter().filter(|s| s.active).map(|s| s.shape);
+        let (ball, cone, None) = (edges.next()?, edges.next()?, edges.next()) else { return None };
+        let same = |a: f64, b: f64| (a - b).abs() < 1e-9;
+        match (ball, cone) {
+            (Shape::Ball { radius }, Shape::Frustum { z0, r0, z1, r1 })
+                if same(z0, radius) && same(r0, radius) && r1 > r0 =>
+            {
+                Some(End::Taper { radius, widest: r1, slope: (z1 - z0) / (r1 - r0) })
+            }
+            _ => None,
         }
     }
 
-    /// Radius of the rounding, which is the height of the end; 0 for a flat one.
-    pub fn rounding(&self) -> f64 {
-        self.torus().1
+    /// The radius within which points are met.
+    pub fn radius(&self) -> f64 {
+        match *self {
+            End::Ball { radius } | End::Flat { radius } | End::Bull { radius, .. } => radius,
+            End::Taper { widest, .. } => widest,
+        }
+    }
+
+    /// Height over the tip from which on the edge is a cylinder, if it ever is.
+    pub fn cylinder_from(&self) -> Option<f64> {
+        (!matches!(self, End::Taper { .. })).then(|| self.torus().1)
     }
 
     /// (radius of the flat part, radius of the rounding): a ball has none of the first, a flat
-    /// end none of the second.
+    /// end none of the second. Of a tapered end those of its ball.
     fn torus(&self) -> (f64, f64) {
         match *self {
-            End::Ball { radius } => (0.0, radius),
+            End::Ball { radius } | End::Taper { radius, .. } => (0.0, radius),
             End::Flat { radius } => (radius, 0.0),
             End::Bull { radius, corner } => (radius - corner, corner),
         }
     }
 
-    /// Signed distance from a point at radius `rho` and `z` over the tip to the end and the cylinder
+    /// Signed distance from a point at radius `rho` and `z` over the tip to the end and the cylinder or cone
     /// above it, negative inside.
     pub fn distance(&self, rho: f64, z: f64) -> f64 {
         let (flat, round) = self.torus();
         let (out, down) = (rho - flat, round - z);
-        out.max(0.0).hypot(down.max(0.0)) + out.max(down).min(0.0) - round
+        let to_torus = out.max(0.0).hypot(down.max(0.0)) + out.max(down).min(0.0) - round;
+        match *self {
+            // Below the equator the ball is nearer. What is inside both is no less deep than it is in one.
+            End::Taper { radius, slope, .. } if z > radius => {
+                let beside = (slope * (rho - radius) - (z - radius)) / slope.hypot(1.0);
+                to_torus.min(beside)
+            }
+            _ => to_torus,
+        }
+    }
+
+    /// Of an edge so high over the tip, the radius of its upper rim where that is nearest to a point outside: on a
+    /// cone, from below it too.
+    pub(super) fn rim_nearest(&self, edge: f64, rho: f64, z: f64) -> Option<f64> {
+        let End::Taper { radius, slope, .. } = *self else { return None };
+        let rim = radius + (edge - radius) / slope;
+        (rho > rim && (rho - rim) + slope * (z - edge) > 0.0).then_some(rim)
     }
 
     /// The tips no farther than `within` mm over a point at `z`, beside it by `rho`, are lower than this; none
@@ -74,7 +123,15 @@ impl End {
     pub(super) fn highest_tip(&self, rho: f64, z: f64, within: f64) -> Option<f64> {
         let (flat, round) = self.torus();
         let (out, far) = ((rho - flat).max(0.0), round + within);
-        (out < far).then(|| z - round + (far * far - out * out).sqrt())
+        let over = (out < far).then(|| z - round + (far * far - out * out).sqrt());
+        match *self {
+            End::Taper { radius, slope, .. } => {
+                let beside = slope * (rho - radius) - within * slope.hypot(1.0);
+                Some(over.unwrap_or(f64::NEG_INFINITY).max(z - radius - beside.max(0.0)))
+                    .filter(|tip| self.distance(rho, z - tip) <= within + BOUND_MM)
+            }
+            _ => over,
+        }
     }
 
     /// From a contact on a surface to the axis, across it; `across` is the part of the surface's
@@ -86,6 +143,11 @@ impl End {
 
     /// Height of the end's surface over the tip at a distance from the axis, within the radius.
     pub(super) fn lower(&self, rho: f64) -> f64 {
+        if let End::Taper { radius, slope, .. } = *self
+            && rho > radius
+        {
+            return radius + slope * (rho - radius);
+        }
         let (flat, round) = self.torus();
         let over = (rho - flat).max(0.0);
         round - (round * round - over * over).max(0.0).sqrt()
@@ -95,6 +157,11 @@ impl End {
     /// `best`, beyond rounding: there the end is as high as at the box's nearest point, or higher.
     fn stays_under(&self, best: f64, top: f64, at: DVec2, low: DVec2, high: DVec2) -> bool {
         let apart = (low - at).max(at - high).max(DVec2::ZERO).length_squared();
+        if let End::Taper { widest, .. } = *self {
+            let near = apart.sqrt();
+            let lower = || self.lower((near - BOUND_MM).max(0.0));
+            return near > widest + BOUND_MM || top - lower() <= best - BOUND_MM;
+        }
         let (flat, round) = self.torus();
         let far = flat + round + BOUND_MM;
         if apart > far * far {
@@ -110,6 +177,9 @@ impl End {
     /// [`upward`]); none when it passes by. Edges below `above` are passed over.
     fn touch(&self, at: DVec2, t: &[DVec3; 3], normal: DVec3, above: f64) -> Option<f64> {
         let mut best = f64::NEG_INFINITY;
+        if let End::Taper { radius, .. } = *self {
+            best = End::Ball { radius }.touch(at, t, normal, above).unwrap_or(best);
+        }
         if let Some(z) = self.on_face(at, t, normal) {
             best = best.max(z);
         }
@@ -131,6 +201,15 @@ impl End {
         if normal.z < UPRIGHT {
             return None;
         }
+        if let End::Taper { widest, slope, .. } = *self {
+            // Less steep faces are met by the ball, others by the cone's upper rim.
+            let across = normal.truncate();
+            let contact = at - across.normalize_or_zero() * widest;
+            let steep = across.length() > slope * normal.z;
+            let met = steep && inside(contact, a.truncate(), b.truncate(), c.truncate());
+            let z = a.z - (contact - a.truncate()).dot(across) / normal.z;
+            return met.then(|| z - self.lower(widest));
+        }
         let (_, round) = self.torus();
         let contact = at - self.contact_to_axis(normal.truncate());
         if !inside(contact, a.truncate(), b.truncate(), c.truncate()) {
@@ -140,14 +219,22 @@ impl End {
         Some(z - round + round * normal.z)
     }
 
-    /// The corners are the ends of the edges.
+    /// Height of the end's surface over the tip, of a tapered end that of its cone and the disc under it.
+    fn convex(&self, rho: f64) -> f64 {
+        match *self {
+            End::Taper { radius, slope, .. } => radius + slope * (rho - radius).max(0.0),
+            _ => self.lower(rho),
+        }
+    }
+
+    /// The corners are the ends of the edges. Of a tapered end this meets the cone alone.
     fn on_edge(&self, at: DVec2, a: DVec3, b: DVec3) -> Option<f64> {
         let radius = self.radius();
         let (p, way) = (a.truncate() - at, (b - a).truncate());
         let length = way.length();
         if length < 1e-12 {
             let rho = p.length();
-            return (rho <= radius).then(|| a.z.max(b.z) - self.lower(rho));
+            return (rho <= radius).then(|| a.z.max(b.z) - self.convex(rho));
         }
         let unit = way / length;
         // Along the edge from the foot of the axis: the part within the radius.
@@ -162,13 +249,13 @@ impl End {
         }
         let slope = (b.z - a.z) / length;
         let height =
-            |x: f64| a.z + slope * (x - start) - self.lower((x * x + apart * apart).sqrt());
+            |x: f64| a.z + slope * (x - start) - self.convex((x * x + apart * apart).sqrt());
         let x = match *self {
             End::Flat { .. } => return Some(height_flat(a.z, slope, start, low, high)),
             // The circle that the ball cuts in the edge's upright plane touches a line of this
             // slope where its own slope is the same.
             End::Ball { .. } => half * slope / (1.0 + slope * slope).sqrt(),
-            End::Bull { .. } => highest(&height, low, high),
+            End::Bull { .. } | End::Taper { .. } => highest(&height, low, high),
         };
         // At the ends the height may be steeper than the search is fine.
         Some(height(x.clamp(low, high)).max(height(low)).max(height(high)))
@@ -358,11 +445,12 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const ENDS: [End; 4] = [
+    const ENDS: [End; 5] = [
         End::Ball { radius: 2.0 },
         End::Flat { radius: 2.0 },
         End::Bull { radius: 2.0, corner: 0.5 },
         End::Bull { radius: 2.0, corner: 2.0 },
+        End::Taper { radius: 0.8, widest: 2.0, slope: 3.0 },
     ];
 
     /// The definition: the greatest height less the end over points of the triangle.
@@ -419,7 +507,8 @@ mod tests {
         for radius in [0.4, 2.0, 9.0, 60.0] {
             let drop = DropCutter::new(triangles.clone(), radius);
             let bull = End::Bull { radius, corner: radius / 3.0 };
-            for end in [End::Ball { radius }, End::Flat { radius }, bull] {
+            let taper = End::Taper { radius: radius / 3.0, widest: radius, slope: 5.0 };
+            for end in [End::Ball { radius }, End::Flat { radius }, bull, taper] {
                 let mut on = None;
                 for _ in 0..60 {
                     let at = DVec2::new(number(-30.0, 30.0), number(-12.0, 12.0));
@@ -444,7 +533,9 @@ mod tests {
         for end in ENDS {
             for (rho, within) in [(0.0, 0.1), (0.7, 0.2), (1.9, 0.3), (2.1, 0.3), (2.1, 0.05)] {
                 let found = end.highest_tip(rho, 5.0, within);
-                assert_eq!(found.is_some(), rho < 2.0 + within);
+                // A cone widens on and on.
+                let widens = matches!(end, End::Taper { .. });
+                assert_eq!(found.is_some(), widens || rho < 2.0 + within);
                 let Some(tip) = found else { continue };
                 assert!((end.distance(rho, 5.0 - tip) - within).abs() < 1e-12, "{end:?} {rho}");
                 assert!(end.distance(rho, 5.0 - tip + 0.01) < within);

@@ -118,7 +118,8 @@ impl Swept {
     fn along(&self, p: DVec3, a: DVec3, b: DVec3) -> f64 {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let (low, high) = (a.z.min(b.z), a.z.max(b.z));
-        if p.z - high >= self.end.rounding() && p.z - low <= self.edge {
+        let from = self.end.cylinder_from();
+        if from.is_some_and(|from| p.z - high >= from) && p.z - low <= self.edge {
             // Beside the edge's cylinder all along; inside, its upper rim may be nearer.
             let beside = apart(p.truncate(), a.truncate(), b.truncate()) - self.end.radius();
             if beside >= 0.0 {
@@ -150,8 +151,11 @@ fn low([a, b]: &[DVec3; 2]) -> f64 {
 
 /// Signed distance from `p` to an end, of an edge so long, with its tip at `tip`.
 pub(crate) fn from_edge(end: End, edge: f64, tip: DVec3, p: DVec3) -> f64 {
-    let z = p.z - tip.z;
-    let (beside, over) = (end.distance(p.truncate().distance(tip.truncate()), z), z - edge);
+    let (rho, z) = (p.truncate().distance(tip.truncate()), p.z - tip.z);
+    if let Some(rim) = end.rim_nearest(edge, rho, z) {
+        return (rho - rim).hypot(z - edge);
+    }
+    let (beside, over) = (end.distance(rho, z), z - edge);
     if beside > 0.0 && over > 0.0 { beside.hypot(over) } else { beside.max(over) }
 }
 
@@ -180,7 +184,8 @@ mod tests {
                 [a, a + point(1.5)]
             })
             .collect();
-        for end in [End::Ball { radius: 1.5 }, End::Bull { radius: 1.5, corner: 0.4 }] {
+        let taper = End::Taper { radius: 0.6, widest: 1.5, slope: 2.5 };
+        for end in [End::Ball { radius: 1.5 }, End::Bull { radius: 1.5, corner: 0.4 }, taper] {
             let swept = Swept::of(end, 2.5, moves.clone()).unwrap();
             for _ in 0..300 {
                 let p = point(9.0);
