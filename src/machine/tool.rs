@@ -142,6 +142,24 @@ impl Tool {
         self.sections.iter().any(|s| s.active && widens(s))
     }
 
+    /// The same tool, everywhere so many mm farther from its axis.
+    pub fn widened(&self, by: f64) -> Tool {
+        let wider = |s: &Section| {
+            let shape = match s.shape {
+                Shape::Ball { radius } => Shape::BullNose { radius: radius + by, corner: radius },
+                Shape::BullNose { radius, corner } => {
+                    Shape::BullNose { radius: radius + by, corner }
+                }
+                Shape::Frustum { z0, r0, z1, r1 } => {
+                    Shape::Frustum { z0, r0: r0 + by, z1, r1: r1 + by }
+                }
+                Shape::Platform { z } => Shape::Platform { z },
+            };
+            Section { shape, active: s.active }
+        };
+        Tool { sections: self.sections.iter().map(wider).collect(), ..self.clone() }
+    }
+
     /// Largest radius of the active part, mm; 0 without one.
     pub fn active_radius(&self) -> f64 {
         self.active().map(Shape::max_radius).fold(0.0, f64::max)
@@ -355,6 +373,24 @@ mod tests {
         assert_eq!((t.active_radius(), t.active_length(), t.reach(1.5)), (1.5, 13.0, 13.0));
         assert_eq!(t.gauge_mm(), 43.0);
         assert!(t.contains(1.4, 5.0) && !t.contains(1.6, 5.0) && t.contains(100.0, 44.0));
+    }
+
+    #[test]
+    fn a_widened_tool_is_as_high_so_much_farther_out() {
+        let nose = Shape::BullNose { radius: 2.0, corner: 0.5 };
+        let mut bull = ball_mill();
+        bull.sections[0].shape = nose;
+        for tool in [ball_mill(), bull] {
+            let wide = tool.widened(0.3);
+            for rho in (0..400).map(|i| f64::from(i) * 0.1 + 0.03) {
+                let want = tool.lower_surface((rho - 0.3).max(0.0));
+                let found = wide.lower_surface(rho);
+                assert!(found == want || (found - want).abs() < 1e-9, "{rho}");
+                let want = tool.active_lower_surface((rho - 0.3).max(0.0));
+                let found = wide.active_lower_surface(rho);
+                assert!(found == want || (found - want).abs() < 1e-9, "{rho}");
+            }
+        }
     }
 
     #[test]

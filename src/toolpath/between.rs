@@ -57,25 +57,30 @@ impl Between<'_> {
     }
 
     fn cuts(&self, tip: DVec3, voxel: DVec3) -> bool {
-        cuts(self.tool, tip, voxel, [self.slack; 2])
+        let rho = tip.truncate().distance(voxel.truncate());
+        tip.z <= self.highest(voxel, rho, self.slack)
     }
 
-    fn highest(&self, voxel: DVec3, rho: f64) -> f64 {
-        highest(self.tool, voxel, rho, [self.slack; 2])
+    /// The highest tip that cuts a voxel from `rho` mm aside; −∞ from too far.
+    fn highest(&self, voxel: DVec3, rho: f64, slack: f64) -> f64 {
+        voxel.z + slack - self.tool.active_lower_surface((rho - slack).max(0.0))
     }
 
-    /// The nearest of the places from which a voxel is cut.
+    /// The nearest of the places from which a voxel is met in its middle, or else within the slack.
     fn tip(&self, voxel: DVec3, places: &[DVec2]) -> Option<DVec3> {
         let mut on = None;
-        places.iter().find_map(|by| {
-            let (at, most) = (voxel.truncate() + *by, self.highest(voxel, by.length()));
-            if most == f64::NEG_INFINITY || !self.exact.is_free(at, most, self.lowest, &mut on) {
-                return None;
-            }
-            // As deep as the voxel is met in its middle, if it may.
-            let lowest = self.exact.lowest(at, self.lowest);
-            let tip = at.extend(lowest.max(most - self.slack));
-            self.free.is_clear(self.tool, tip).then_some(tip)
+        [0.0, self.slack].into_iter().find_map(|slack| {
+            places.iter().find_map(|by| {
+                let (at, most) = (voxel.truncate() + *by, self.highest(voxel, by.length(), slack));
+                let may = most > f64::NEG_INFINITY;
+                if !may || !self.exact.is_free(at, most, self.lowest, &mut on) {
+                    return None;
+                }
+                // Deeper than it must where it may, for the rounding of what is made of it.
+                let lowest = self.exact.lowest(at, self.lowest);
+                let tip = at.extend(lowest.max(most - self.slack));
+                self.free.is_clear(self.tool, tip).then_some(tip)
+            })
         })
     }
 
@@ -90,14 +95,4 @@ impl Between<'_> {
         let places = cells.into_iter().map(|(i, j)| DVec2::new(i as f64, j as f64) * apart);
         places.filter(|p| p.length() <= reach).collect()
     }
-}
-
-/// Whether a tip's edge comes within so much under and beside it of a voxel, mm; (u, v, height) both.
-pub(super) fn cuts(tool: &Tool, tip: DVec3, voxel: DVec3, slack: [f64; 2]) -> bool {
-    tip.z <= highest(tool, voxel, tip.truncate().distance(voxel.truncate()), slack)
-}
-
-/// The highest tip that cuts a voxel from `rho` mm aside; −∞ from too far.
-fn highest(tool: &Tool, voxel: DVec3, rho: f64, [under, beside]: [f64; 2]) -> f64 {
-    voxel.z + under - tool.active_lower_surface((rho - beside).max(0.0))
 }

@@ -1,11 +1,11 @@
 //! Drop-cutter: the lowest tip at which a cutter's end touches triangles from above.
 //!
 //! Method: for a tip at (u, v) every triangle within the end's radius is met by its face, its
-//! edges and its corners, each in closed form for ball and flat ends; along an edge a bull-nose end
+//! edges and its corners, each in closed form for ball and flat ends and cones; along an edge a bull-nose end
 //! is met by golden section, since height less the convex end is concave there. A tapered end is its ball and
 //! its cone, each met by itself. The greatest of all contact heights is the answer.
 //!
-//! Guarantees: ball and flat ends to rounding, bull-nose ends and cones to [`EDGE_MM`] along the edge.
+//! Guarantees: ball and flat ends to rounding, bull-nose ends to [`EDGE_MM`] along the edge.
 //! Not guaranteed: what lies outside the end's radius; shank and holder are somebody else's.
 
 use crate::base::{DVec2, DVec3};
@@ -255,7 +255,14 @@ impl End {
             // The circle that the ball cuts in the edge's upright plane touches a line of this
             // slope where its own slope is the same.
             End::Ball { .. } => half * slope / (1.0 + slope * slope).sqrt(),
-            End::Bull { .. } | End::Taper { .. } => highest(&height, low, high),
+            End::Bull { .. } => highest(&height, low, high),
+            // The same for the hyperbola that the cone cuts in it, or the rim of the disc below that.
+            End::Taper { radius: disc, slope: steep, .. } => {
+                let fall = (steep * steep - slope * slope).max(0.0).sqrt();
+                let rim = (disc * disc - apart * apart).max(0.0).sqrt();
+                let met = apart * slope.abs() / fall;
+                slope.signum() * if met.is_nan() { rim } else { met.max(rim) }
+            }
         };
         // At the ends the height may be steeper than the search is fine.
         Some(height(x.clamp(low, high)).max(height(low)).max(height(high)))

