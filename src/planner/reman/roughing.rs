@@ -173,19 +173,21 @@ mod tests {
         assert!(verdict.passed(), "{:?}", verdict.rules);
     }
 
-    /// A channel of five voxels, whose walls' middles are as far apart as the stout cutter is wide.
+    /// A channel of five voxels, narrower than the stout cutter, which has room between the middles of its walls' voxels.
     #[test]
     fn the_stout_cutter_leaves_what_it_has_no_room_for() {
         let channel =
             |[x, y, z]: [usize; 3]| (20..25).contains(&y) && (3..57).contains(&x) && z >= 8;
-        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+        let frame = Frame { pitch: 1.05, dims: DIMS, origin: DVec3::ZERO };
         let initial = BitGrid::from_fn(DIMS, block);
         let target = BitGrid::from_fn(DIMS, |v| block(v) && v[2] < 18 && !channel(v));
         let job = job_of(frame, initial, target, |_| true);
         let stout = job.cutters.iter().find(|t| t.name == "long-cutter").unwrap();
         assert_eq!(stout.active_radius(), 3.0);
         let [plain, made] = cut_and_roughed(&job);
-        let deep = plain.steps[0].region.and(&BitGrid::from_fn(DIMS, |v| channel(v) && v[2] < 14));
+        let deep = plain.steps[0]
+            .region
+            .and(&BitGrid::from_fn(DIMS, |v| channel(v) && v[2] < 14 && v[0] > 8 && v[0] < 51));
         let standing = job.target.or(&deep);
         let by_maps = over_cut(&frame, &standing, &deep, &[], stout, Direction::Z).region;
         assert!(by_maps.count() > 100, "{}", by_maps.count());
