@@ -14,6 +14,7 @@
 //! that only the voxels leave room for. Not guaranteed: a constant engagement.
 
 use super::between::Between;
+use super::cells::Cells;
 use super::close_tip::Stays;
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, Lowest, steepness};
@@ -22,8 +23,7 @@ use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
-use super::swept::Swept;
-use super::touch::Touch;
+use super::touch::{Touch, bounds};
 use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
@@ -473,7 +473,6 @@ impl<'a> Stage<'a> {
     /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any.
     fn rest_between_cells(&mut self, half: f64) -> Result<(), Cancelled> {
         let (left, _) = self.uncovered(half, half)?;
-        let left: Vec<DVec3> = left.iter().map(|(uv, z)| uv.extend(f64::from(*z))).collect();
         let Some(exact) = self.meshes.as_ref().filter(|_| !left.is_empty()) else {
             return Ok(());
         };
@@ -485,7 +484,7 @@ impl<'a> Stage<'a> {
         let ways = touch.joined(tips, &|tip| self.free.is_clear(work.tool, tip))?;
         let reach = work.tool.active_radius() + half;
         for way in ways {
-            let top = top_within(reach, &way, left.iter().copied());
+            let top = top_within(reach, &way, &left);
             self.touch_along(way, top);
         }
         Ok(())
@@ -495,51 +494,63 @@ impl<'a> Stage<'a> {
     /// by the lattice; returns the share that is.
     fn rest_of_few(&mut self, half: f64, share: f64) -> Result<f64, Cancelled> {
         let Work { frame, step, tool, ctx, .. } = self.work;
-        let points: Vec<DVec3> = step.region.iter_ones().map(|v| frame.center(v)).collect();
-        let share_of = |left: &[DVec3]| 1.0 - left.len() as f64 / points.len().max(1) as f64;
-        let left = self.passed_by(&points, half);
+        let points: Vec<DVec3> =
+            step.region.iter_ones().map(|v| self.seen(frame.center(v))).collect();
+        let all = points.len().max(1) as f64;
+        let share_of = |left: &[DVec3]| 1.0 - left.len() as f64 / all;
+        let left = self.passed_by(points.clone(), half);
         if share_of(&left) >= LEAST_SHARE {
             return Ok(share);
         }
-        let uncovered: Vec<(DVec2, f32)> = left.iter().map(|p| self.seen(*p)).collect();
         let plain = self.free.heights(tool, 0.0, 0.0, ctx)?.data;
-        self.lower_over(&uncovered, &plain)?;
-        let left = self.passed_by(&points, half);
+        self.lower_over(&left, &plain)?;
+        let left = self.passed_by(left, half);
         if share_of(&left) >= LEAST_SHARE || left.len() > FEWEST {
             return Ok(share_of(&left));
         }
         let stays = Stays::of(self.work, self.lattice);
-        let (plane, reach) = (self.lattice.plane, tool.active_radius() + half);
-        let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
+        let reach = tool.active_radius() + half;
         for p in left.iter().copied() {
             ctx.check()?;
-            if self.passed_by(&[p], half).is_empty() {
+            if self.passed_by(vec![p], half).is_empty() {
                 continue;
             }
-            if let Some(tip) = stays.tip(turned(p), half) {
-                self.touch_along(
-                    vec![tip],
-                    top_within(reach, &[tip], left.iter().copied().map(turned)),
-                );
+            if let Some(tip) = stays.tip(p, half) {
+                self.touch_along(vec![tip], top_within(reach, &[tip], &left));
             }
         }
-        Ok(share_of(&self.passed_by(&points, half)))
+        Ok(share_of(&self.passed_by(points, half)))
     }
 
-    /// The points that no tip of the cuts so far came within `slack` of with its edge.
-    fn passed_by(&self, points: &[DVec3], slack: f64) -> Vec<DVec3> {
+    /// The points, as (u, v, height), that no tip of the cuts so far came within `slack` of with its edge.
+    fn passed_by(&self, points: Vec<DVec3>, slack: f64) -> Vec<DVec3> {
         let (plane, tool) = (self.lattice.plane, self.work.tool);
         let reach = tool.active_radius() + slack;
-        let mut left: Vec<DVec3> = points.to_vec();
+        let uv = |i: &usize| points[*i].truncate();
+        let (lo, hi) = bounds(points.iter().map(|p| p.truncate()));
+        if points.is_empty() {
+            return points;
+        }
+        let cells = Cells::over(lo, hi, reach.max(1.0));
+        let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
+        for i in 0..points.len() {
+            if let Some(c) = cells.at(uv(&i)) {
+                waiting[c].push(i);
+            }
+        }
         for tip in cut_tips(&self.moves, self.work.frame.pitch / 2.0) {
             let (at, z) = (plane.across(tip), plane.height(tip));
-            left.retain(|p| {
-                let rho = plane.across(*p).distance(at);
-                let under = || z + tool.active_lower_surface((rho - slack).max(0.0));
-                rho > reach || under() > plane.height(*p) + slack
-            });
+            for c in cells.within(at - reach, at + reach) {
+                waiting[c].retain(|i| {
+                    let rho = uv(i).distance(at);
+                    let under = || z + tool.active_lower_surface((rho - slack).max(0.0));
+                    rho > reach || under() > points[*i].z + slack
+                });
+            }
         }
-        left
+        let mut left: Vec<usize> = waiting.into_iter().flatten().collect();
+        left.sort_unstable();
+        left.into_iter().map(|i| points[i]).collect()
     }
 
     /// Cuts the region farther than `slack` under and `side` beside what was swept, with lowest
@@ -553,22 +564,23 @@ impl<'a> Stage<'a> {
         Ok(self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM, 0.0)?.1)
     }
 
-    /// Cuts points (across and along the axis) each from the nearest cell over which the tip may
+    /// Cuts points, as (u, v, height), each from the nearest cell over which the tip may
     /// stand low enough.
-    fn lower_over(&mut self, points: &[(DVec2, f32)], free: &[f32]) -> Result<(), Cancelled> {
+    fn lower_over(&mut self, points: &[DVec3], free: &[f32]) -> Result<(), Cancelled> {
         let (l, tool) = (self.lattice, self.work.tool);
         let h = self.work.frame.pitch as f32;
         let offsets = within(tool.active_radius().min(FAR_CELLS * l.s), l.s);
         let mut need = vec![f32::INFINITY; l.cells()];
         let mut ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
-        for (uv, height) in points {
-            let Some(cell) = l.cell(*uv) else { continue };
+        for p in points {
+            let (uv, height) = (p.truncate(), p.z as f32);
+            let Some(cell) = l.cell(uv) else { continue };
             let reached = |slack: f64| {
                 offsets.iter().find_map(|(di, dj)| {
                     let i = cell[0].checked_add_signed(*di as isize)?;
                     let j = cell[1].checked_add_signed(*dj as isize)?;
                     let inside = i < l.n[0] && j < l.n[1];
-                    let rho = (l.uv([i, j]).distance(*uv) - slack).max(0.0);
+                    let rho = (l.uv([i, j]).distance(uv) - slack).max(0.0);
                     let z = height + slack as f32 - tool.active_lower_surface(rho) as f32;
                     let at = l.index([i, j]);
                     (inside && free[at] <= z).then_some((at, z))
@@ -586,9 +598,9 @@ impl<'a> Stage<'a> {
         self.levels(&need, &ceiling, &near)
     }
 
-    /// Region voxels farther than `slack` under what the edge, grown by `side`, swept (across and
-    /// along the axis), and the fraction of the others; over the meshes, those farther from what it swept.
-    fn uncovered(&mut self, slack: f64, side: f64) -> Result<(Vec<(DVec2, f32)>, f64), Cancelled> {
+    /// Region voxels farther than `slack` under what the edge, grown by `side`, swept, as (u, v, height), and
+    /// the fraction of the others.
+    fn uncovered(&mut self, slack: f64, side: f64) -> Result<(Vec<DVec3>, f64), Cancelled> {
         let l = self.lattice;
         let tool = self.work.tool;
         // Tips between cells may be farther from a voxel than the cells that they are noted in.
@@ -602,26 +614,23 @@ impl<'a> Stage<'a> {
         for v in self.work.step.region.iter_ones() {
             let p = self.work.frame.center(v);
             all += 1;
-            let (uv, height) = self.seen(p);
-            if l.cell(uv).is_some_and(|c| -reached.data[l.index(c)] > height + half) {
-                left.push((uv, height));
+            let seen = self.seen(p);
+            let cell = l.cell(seen.truncate());
+            if cell.is_some_and(|c| -reached.data[l.index(c)] > seen.z as f32 + half) {
+                left.push(seen);
             }
         }
-        if let (Some(meshes), false) = (&self.meshes, left.is_empty()) {
-            let cuts = self.cuts_so_far();
-            if let Some(swept) = Swept::of(meshes.end(), tool.active_length(), cuts) {
-                let near = slack.max(side);
-                left.retain(|(uv, z)| !swept.is_within(uv.extend(f64::from(*z)), near, *uv));
-            }
+        if self.meshes.is_some() {
+            left = self.passed_by(left, slack.max(side));
         }
         let share = 1.0 - left.len() as f64 / all.max(1) as f64;
         Ok((left, share))
     }
 
-    /// A point across and along the axis.
-    fn seen(&self, p: DVec3) -> (DVec2, f32) {
+    /// A point as (u, v, height).
+    fn seen(&self, p: DVec3) -> DVec3 {
         let plane = self.lattice.plane;
-        (plane.across(p), plane.height(p) as f32)
+        plane.across(p).extend(plane.height(p))
     }
 
     /// Adds the cuts made since the last time to what was swept.
@@ -878,9 +887,9 @@ impl<'a> Stage<'a> {
 
 /// Height of the highest of some voxels that lie no farther than `reach` aside of a tip: stock is known by cells,
 /// and may be out of reach of tips between them.
-fn top_within(reach: f64, tips: &[DVec3], voxels: impl Iterator<Item = DVec3>) -> f64 {
-    let near = |v: &DVec3| tips.iter().any(|t| t.truncate().distance(v.truncate()) <= reach);
-    voxels.filter(near).map(|v| v.z).fold(f64::NEG_INFINITY, f64::max)
+fn top_within(reach: f64, tips: &[DVec3], voxels: &[DVec3]) -> f64 {
+    let near = |v: &&DVec3| tips.iter().any(|t| t.truncate().distance(v.truncate()) <= reach);
+    voxels.iter().filter(near).map(|v| v.z).fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// Cells within a radius of one, the nearest first.

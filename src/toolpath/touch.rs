@@ -42,7 +42,7 @@ const ASIDE_PITCH: f64 = 0.9;
 
 /// Share of the stock to leave beyond which a facet is touched up. More leaves single points
 /// between the facets above the whole of it, less cuts what finishing's own lattice leaves anyway.
-const LEFT_SHARE: f64 = 0.7;
+const LEFT_SHARE: f64 = 0.6;
 
 /// More left than this share of the stock is not told apart: looking for how much takes time.
 const FAR_SHARE: f64 = 2.0;
@@ -311,7 +311,7 @@ impl Touch<'_> {
 }
 
 /// Box of points; empty of none.
-fn bounds(uv: impl Iterator<Item = DVec2>) -> (DVec2, DVec2) {
+pub(super) fn bounds(uv: impl Iterator<Item = DVec2>) -> (DVec2, DVec2) {
     uv.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)))
 }
 
