@@ -4,7 +4,7 @@
 //! tool is free of the output state and the fixed points, `top` the height at which its edge first meets
 //! the region, `floor` the lowest height worth going to. Roughing takes levels a step-down apart, contour
 //! parallel, at z = max(level, H + stock, floor); finishing follows max(H, floor) a scallop stepover
-//! apart; rest cutting goes once more where region is still uncovered, with H without margin. Into
+//! apart; rest cutting (`rest`) goes once more where region is still uncovered. Into
 //! material the tip goes by a ramp along the pass (see `ramp`).
 //!
 //! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells), but for
@@ -13,9 +13,8 @@
 //! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`), but for crevices
 //! that only the voxels leave room for. Not guaranteed: a constant engagement.
 
-use super::between::Between;
-use super::cells::Cells;
-use super::close_tip::Stays;
+mod rest;
+
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, Lowest, steepness};
 use super::faces::{faces, rows};
@@ -23,37 +22,18 @@ use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
-use super::touch::{Touch, bounds};
+use super::touch::Touch;
 use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
 use crate::voxel::{BitGrid, Frame};
-use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Heights closer than this are the same, mm: far above the rounding of f32 heights, far below
 /// what a machine resolves.
 const SAME_HEIGHT_MM: f64 = 1e-3;
 
 /// Cosine of the slope at which passes across and levels along the axis are equally far apart.
-const DIAGONAL: f64 = FRAC_1_SQRT_2;
-
-/// Share of the region that must be swept: a little more than the program's check asks for.
-const LEAST_SHARE: f64 = 0.985;
-
-/// A region of so few voxels is held against the tips as they were, not against the cells they are
-/// nearest to: there a few of them, even a single one, are more than may be left.
-const FEW: usize = 4000;
-
-/// Of so few voxels that are left each gets a tip of its own, by exact distances.
-const FEWEST: usize = 64;
-
-/// Lumps this deep, as a share of the surface tolerance, are cut at the price of a gouge: the
-/// program's check finds those of the whole of it.
-const LUMP_SHARE: f64 = 0.9;
-
-/// How deep a cutter may go into a surface to get at what stands in a crevice, mm: less than what
-/// counts as a gouge, rounding of three decimals included.
-const NICK_MM: f64 = 0.045;
+const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Steps down are no finer than this share of a cell: a sharp tip's own, which would leave no ridge,
 /// has no lower bound.
@@ -225,10 +205,6 @@ struct Stage<'a> {
     /// How far from its cell the tip stands.
     aside: DVec2,
     moves: Vec<Move>,
-    /// Lowest tip of the cuts so far over each cell, its sign turned.
-    swept: Image,
-    /// Moves of which it has the cuts.
-    noted: usize,
 }
 
 impl<'a> Stage<'a> {
@@ -288,8 +264,6 @@ impl<'a> Stage<'a> {
             to_walls: false,
             aside: DVec2::ZERO,
             moves: Vec::new(),
-            swept: Image::empty(lattice),
-            noted: 0,
         })
     }
 
@@ -427,222 +401,6 @@ impl<'a> Stage<'a> {
         let disc = Profile::new(box_of, reach, s, 0.0, 0.0);
         let low = disc.dilate(&done.negated(), self.lattice, f64::NEG_INFINITY, self.work.ctx)?;
         Ok(low.data.iter().map(|z| if z.is_finite() { -z } else { f32::INFINITY }).collect())
-    }
-
-    /// Cuts what region is left uncovered from the tips that reach it without margin; returns the
-    /// fraction of the region that is covered in the end.
-    fn rest(&mut self) -> Result<f64, Cancelled> {
-        let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
-        let exact = std::mem::take(&mut self.exact.tips.data);
-        let share = self.rest_over(&exact, half, 0.0)?;
-        let share = match self.meshes.is_none() || share == 1.0 {
-            true => share,
-            false => self.rest_for_a_gouge(&exact, half)?,
-        };
-        match self.work.step.region.count() {
-            n if n <= FEW => self.rest_of_few(half, share),
-            _ => Ok(share),
-        }
-    }
-
-    /// Cuts what `exact` heights, those over the meshes, left; returns the fraction that is covered.
-    fn rest_for_a_gouge(&mut self, exact: &[f32], half: f64) -> Result<f64, Cancelled> {
-        // What the meshes leave no room for, the voxels may, which is what the plan was made on:
-        // lumps deeper than the tolerance go as far as a nick lets the tool in; a block of which
-        // so much is left that the plan's volume is not cut goes at the price of a pitch's gouge, and so does
-        // what is deeper than the rules allow. Deep
-        // is meant to all sides: along a wall a cell's width that is left is none.
-        self.rest_between_cells(half)?;
-        let (_, share) = self.uncovered(half, half)?;
-        let plain = self.free.heights(self.work.tool, 0.0, 0.0, self.work.ctx)?.data;
-        let tolerance = self.work.job.rules.tolerance_mm;
-        if share < LEAST_SHARE {
-            self.rest_over(&plain, half, half)?;
-        } else {
-            let nick = |(z, e): (&f32, &f32)| z.max(e - NICK_MM as f32);
-            let nicked: Vec<f32> = plain.iter().zip(exact).map(nick).collect();
-            let deep = (tolerance / 2.0).max(half);
-            self.rest_over(&nicked, deep, deep)?;
-            // Nor may a lump be left that the program's check would find.
-            let deepest = (LUMP_SHARE * tolerance).max(half);
-            self.rest_over(&plain, deepest, deepest)?;
-        }
-        Ok(self.uncovered(half, half)?.1)
-    }
-
-    /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any.
-    fn rest_between_cells(&mut self, half: f64) -> Result<(), Cancelled> {
-        let (left, _) = self.uncovered(half, half)?;
-        let Some(exact) = self.meshes.as_ref().filter(|_| !left.is_empty()) else {
-            return Ok(());
-        };
-        let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
-        let between =
-            Between { exact, lowest, free: &self.free, tool: work.tool, cell, slack: half };
-        let tips = between.tips(&left, work.ctx)?;
-        let touch = Touch { work, exact, lowest, stock: self.process.stock };
-        let ways = touch.joined(tips, &|tip| self.free.is_clear(work.tool, tip))?;
-        let reach = work.tool.active_radius() + half;
-        for way in ways {
-            let top = top_within(reach, &way, &left);
-            self.touch_along(way, top);
-        }
-        Ok(())
-    }
-
-    /// Cuts what the tips passed by of a region of a few voxels, however `share` of it was covered
-    /// by the lattice; returns the share that is.
-    fn rest_of_few(&mut self, half: f64, share: f64) -> Result<f64, Cancelled> {
-        let Work { frame, step, tool, ctx, .. } = self.work;
-        let points: Vec<DVec3> =
-            step.region.iter_ones().map(|v| self.seen(frame.center(v))).collect();
-        let all = points.len().max(1) as f64;
-        let share_of = |left: &[DVec3]| 1.0 - left.len() as f64 / all;
-        let left = self.passed_by(points.clone(), half);
-        if share_of(&left) >= LEAST_SHARE {
-            return Ok(share);
-        }
-        let plain = self.free.heights(tool, 0.0, 0.0, ctx)?.data;
-        self.lower_over(&left, &plain)?;
-        let left = self.passed_by(left, half);
-        if share_of(&left) >= LEAST_SHARE || left.len() > FEWEST {
-            return Ok(share_of(&left));
-        }
-        let stays = Stays::of(self.work, self.lattice);
-        let reach = tool.active_radius() + half;
-        for p in left.iter().copied() {
-            ctx.check()?;
-            if self.passed_by(vec![p], half).is_empty() {
-                continue;
-            }
-            if let Some(tip) = stays.tip(p, half) {
-                self.touch_along(vec![tip], top_within(reach, &[tip], &left));
-            }
-        }
-        Ok(share_of(&self.passed_by(points, half)))
-    }
-
-    /// The points, as (u, v, height), that no tip of the cuts so far came within `slack` of with its edge.
-    fn passed_by(&self, points: Vec<DVec3>, slack: f64) -> Vec<DVec3> {
-        let (plane, tool) = (self.lattice.plane, self.work.tool);
-        let reach = tool.active_radius() + slack;
-        let uv = |i: &usize| points[*i].truncate();
-        let (lo, hi) = bounds(points.iter().map(|p| p.truncate()));
-        if points.is_empty() {
-            return points;
-        }
-        let cells = Cells::over(lo, hi, reach.max(1.0));
-        let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
-        for i in 0..points.len() {
-            if let Some(c) = cells.at(uv(&i)) {
-                waiting[c].push(i);
-            }
-        }
-        for tip in cut_tips(&self.moves, self.work.frame.pitch / 2.0) {
-            let (at, z) = (plane.across(tip), plane.height(tip));
-            for c in cells.within(at - reach, at + reach) {
-                waiting[c].retain(|i| {
-                    let rho = uv(i).distance(at);
-                    let under = || z + tool.active_lower_surface((rho - slack).max(0.0));
-                    rho > reach || under() > points[*i].z + slack
-                });
-            }
-        }
-        let mut left: Vec<usize> = waiting.into_iter().flatten().collect();
-        left.sort_unstable();
-        left.into_iter().map(|i| points[i]).collect()
-    }
-
-    /// Cuts the region farther than `slack` under and `side` beside what was swept, with lowest
-    /// tips `free`.
-    fn rest_over(&mut self, free: &[f32], slack: f64, side: f64) -> Result<f64, Cancelled> {
-        let (uncovered, share) = self.uncovered(slack, side)?;
-        if uncovered.is_empty() {
-            return Ok(share);
-        }
-        self.lower_over(&uncovered, free)?;
-        Ok(self.uncovered(self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM, 0.0)?.1)
-    }
-
-    /// Cuts points, as (u, v, height), each from the nearest cell over which the tip may
-    /// stand low enough.
-    fn lower_over(&mut self, points: &[DVec3], free: &[f32]) -> Result<(), Cancelled> {
-        let (l, tool) = (self.lattice, self.work.tool);
-        let h = self.work.frame.pitch as f32;
-        let offsets = within(tool.active_radius().min(FAR_CELLS * l.s), l.s);
-        let mut need = vec![f32::INFINITY; l.cells()];
-        let mut ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
-        for p in points {
-            let (uv, height) = (p.truncate(), p.z as f32);
-            let Some(cell) = l.cell(uv) else { continue };
-            let reached = |slack: f64| {
-                offsets.iter().find_map(|(di, dj)| {
-                    let i = cell[0].checked_add_signed(*di as isize)?;
-                    let j = cell[1].checked_add_signed(*dj as isize)?;
-                    let inside = i < l.n[0] && j < l.n[1];
-                    let rho = (l.uv([i, j]).distance(uv) - slack).max(0.0);
-                    let z = height + slack as f32 - tool.active_lower_surface(rho) as f32;
-                    let at = l.index([i, j]);
-                    (inside && free[at] <= z).then_some((at, z))
-                })
-            };
-            // The plan takes a voxel for the middle of its cell.
-            if let Some((at, z)) = reached(0.0).or_else(|| reached(f64::from(h) / 2.0)) {
-                let z = free[at].max(z - 0.25 * h);
-                need[at] = need[at].min(z);
-                // From just beside the region the edge meets none of it by the lattice.
-                ceiling[at] = ceiling[at].max(height + h);
-            }
-        }
-        let near = self.near()?;
-        self.levels(&need, &ceiling, &near)
-    }
-
-    /// Region voxels farther than `slack` under what the edge, grown by `side`, swept, as (u, v, height), and
-    /// the fraction of the others.
-    fn uncovered(&mut self, slack: f64, side: f64) -> Result<(Vec<DVec3>, f64), Cancelled> {
-        let l = self.lattice;
-        let tool = self.work.tool;
-        // Tips between cells may be farther from a voxel than the cells that they are noted in.
-        let aside = if self.meshes.is_some() { FRAC_1_SQRT_2 * l.s } else { 0.0 };
-        let edge = |rho: f64| tool.active_lower_surface(rho);
-        let edge = Profile::new(edge, tool.active_radius(), l.s, side - aside, 0.0);
-        self.note_cuts();
-        let reached = edge.dilate(&self.swept, l, f64::NEG_INFINITY, self.work.ctx)?;
-        let half = slack as f32;
-        let (mut left, mut all) = (Vec::new(), 0usize);
-        for v in self.work.step.region.iter_ones() {
-            let p = self.work.frame.center(v);
-            all += 1;
-            let seen = self.seen(p);
-            let cell = l.cell(seen.truncate());
-            if cell.is_some_and(|c| -reached.data[l.index(c)] > seen.z as f32 + half) {
-                left.push(seen);
-            }
-        }
-        if self.meshes.is_some() {
-            left = self.passed_by(left, slack.max(side));
-        }
-        let share = 1.0 - left.len() as f64 / all.max(1) as f64;
-        Ok((left, share))
-    }
-
-    /// A point as (u, v, height).
-    fn seen(&self, p: DVec3) -> DVec3 {
-        let plane = self.lattice.plane;
-        plane.across(p).extend(plane.height(p))
-    }
-
-    /// Adds the cuts made since the last time to what was swept.
-    fn note_cuts(&mut self) {
-        let l = self.lattice;
-        for p in cut_tips(&self.moves[self.noted.saturating_sub(1)..], l.s / 2.0) {
-            if let Some(c) = l.cell(l.plane.across(p)) {
-                let i = l.index(c);
-                self.swept.data[i] = self.swept.data[i].max(-(l.plane.height(p) as f32));
-            }
-        }
-        self.noted = self.moves.len();
     }
 
     /// The cuts so far, as (u, v, height).
@@ -885,13 +643,6 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// Height of the highest of some voxels that lie no farther than `reach` aside of a tip: stock is known by cells,
-/// and may be out of reach of tips between them.
-fn top_within(reach: f64, tips: &[DVec3], voxels: &[DVec3]) -> f64 {
-    let near = |v: &&DVec3| tips.iter().any(|t| t.truncate().distance(v.truncate()) <= reach);
-    voxels.iter().filter(near).map(|v| v.z).fold(f64::NEG_INFINITY, f64::max)
-}
-
 /// Cells within a radius of one, the nearest first.
 pub(super) fn within(radius: f64, s: f64) -> Vec<(i64, i64)> {
     let cells = radius / s + 1e-9;
@@ -901,15 +652,6 @@ pub(super) fn within(radius: f64, s: f64) -> Vec<(i64, i64)> {
     let mut offsets: Vec<(i64, i64)> = all.filter(is_within).collect();
     offsets.sort_by_key(|(i, j)| (i * i + j * j, *j, *i));
     offsets
-}
-
-/// Tips on the way of the cuts, at most `apart` mm from each other.
-fn cut_tips(moves: &[Move], apart: f64) -> impl Iterator<Item = DVec3> {
-    let cuts = moves.windows(2).filter(|w| w[1].kind == MoveKind::Cut);
-    cuts.flat_map(move |w| {
-        let n = (w[0].tip.distance(w[1].tip) / apart).ceil().max(1.0);
-        (0..=n as usize).map(move |i| w[0].tip.lerp(w[1].tip, i as f64 / n))
-    })
 }
 
 /// How far a point may lie from the centre of its cell, mm: nothing along the grid axes.

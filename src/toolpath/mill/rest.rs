@@ -1,0 +1,290 @@
+//! What the passes of a step left of its region.
+//!
+//! Method: the voxels are listed that no tip came within half a voxel of with its edge, aside and below, as
+//! the program's check asks it; whatever then cuts some takes them off the list. First go the lattice's tips without
+//! margin, over the meshes where the job has them, then tips between its cells. What the meshes leave no room for,
+//! the voxels may, which is what the plan was made on: see [`Stage::for_a_gouge`]. A few voxels of a small
+//! region each get a tip by exact distances.
+//!
+//! Guarantees: what is off the list was cut, by tips a quarter of a voxel apart on its way. Not guaranteed: an
+//! empty list.
+
+use super::super::between::Between;
+use super::super::cells::Cells;
+use super::super::close_tip::Stays;
+use super::super::image::{Image, Profile};
+use super::super::moves::{Move, MoveKind};
+use super::super::touch::{Touch, bounds};
+use super::{FAR_CELLS, SAME_HEIGHT_MM, Stage, within};
+use crate::base::{Cancelled, DVec3};
+use rayon::prelude::*;
+use std::f64::consts::FRAC_1_SQRT_2;
+
+/// Share of the region that must be swept: a little more than the program's check asks for.
+const LEAST_SHARE: f64 = 0.985;
+
+/// Of a region of so few voxels a few, even a single one, are more than may be left.
+const FEW: usize = 4000;
+
+/// Of so few voxels that are left each gets a tip of its own, by exact distances.
+const FEWEST: usize = 64;
+
+/// Lumps this deep, as a share of the surface tolerance, are cut at the price of a gouge: the
+/// program's check finds those of the whole of it.
+const LUMP_SHARE: f64 = 0.9;
+
+/// How deep a cutter may go into a surface to get at what stands in a crevice, mm: less than what
+/// counts as a gouge, rounding of three decimals included.
+const NICK_MM: f64 = 0.045;
+
+/// Tips on a way are looked at so far apart, in pitches.
+const APART_PITCH: f64 = 0.5;
+
+/// Voxels of the region that are not cut yet.
+struct Left {
+    /// Their middles, as (u, v, height).
+    voxels: Vec<DVec3>,
+    /// Moves whose cuts are taken off.
+    known: usize,
+    /// How far aside of the edge and under it a voxel is cut, mm.
+    slack: f64,
+}
+
+impl Stage<'_> {
+    /// Cuts what region is left; returns the fraction that is covered in the end.
+    pub(super) fn rest(&mut self) -> Result<f64, Cancelled> {
+        let all = self.work.step.region.count();
+        let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
+        let mut left = self.left(half)?;
+        let exact = std::mem::take(&mut self.exact.tips.data);
+        self.cut_over(&mut left, &exact)?;
+        if self.meshes.is_some() {
+            self.between_cells(&mut left)?;
+            self.for_a_gouge(&mut left, &exact)?;
+        }
+        if all <= FEW && left.share_of(all) < LEAST_SHARE && left.voxels.len() <= FEWEST {
+            self.by_exact_distances(&mut left)?;
+        }
+        Ok(left.share_of(all))
+    }
+
+    /// Cuts what is left from the nearest cells, with lowest tips `free`.
+    fn cut_over(&mut self, left: &mut Left, free: &[f32]) -> Result<(), Cancelled> {
+        if !left.voxels.is_empty() {
+            self.lower_over(&left.voxels, free)?;
+            self.take_off(left);
+        }
+        Ok(())
+    }
+
+    /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any.
+    fn between_cells(&mut self, left: &mut Left) -> Result<(), Cancelled> {
+        let Some(exact) = self.meshes.as_ref().filter(|_| !left.voxels.is_empty()) else {
+            return Ok(());
+        };
+        let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
+        let (free, tool) = (&self.free, work.tool);
+        let between = Between { exact, lowest, free, tool, cell, slack: left.slack };
+        let tips = between.tips(&left.voxels, work.ctx)?;
+        let touch = Touch { work, exact, lowest, stock: self.process.stock };
+        let ways = touch.joined(tips, &|tip| free.is_clear(tool, tip))?;
+        for way in ways {
+            let top = self.top_within(left.slack, &way, &left.voxels);
+            self.touch_along(way, top);
+        }
+        self.take_off(left);
+        Ok(())
+    }
+
+    /// Cuts what the `exact` heights, those over the meshes, leave no room for, as far as it must be: lumps deeper
+    /// than half the tolerance as far as a nick lets the tool in; at the price of a pitch's gouge a region of
+    /// which so much is left that the plan's volume is not cut, and what is deeper than the rules allow. Deep is meant
+    /// to all sides: along a wall a cell's width that is left is none.
+    fn for_a_gouge(&mut self, left: &mut Left, exact: &[f32]) -> Result<(), Cancelled> {
+        if left.voxels.is_empty() {
+            return Ok(());
+        }
+        let plain = self.free.heights(self.work.tool, 0.0, 0.0, self.work.ctx)?.data;
+        if left.share_of(self.work.step.region.count()) < LEAST_SHARE {
+            return self.cut_over(left, &plain);
+        }
+        let tolerance = self.work.job.rules.tolerance_mm;
+        let nick = |(z, e): (&f32, &f32)| z.max(e - NICK_MM as f32);
+        let nicked: Vec<f32> = plain.iter().zip(exact).map(nick).collect();
+        // Nor may a lump be left that the program's check would find.
+        for (share, free) in [(0.5, &nicked), (LUMP_SHARE, &plain)] {
+            let slack = (share * tolerance).max(left.slack);
+            let voxels = self.not_cut(left.voxels.clone(), &self.moves, slack);
+            self.cut_over(&mut Left { voxels, known: self.moves.len(), slack }, free)?;
+        }
+        self.take_off(left);
+        Ok(())
+    }
+
+    /// Cuts each of the last voxels from a tip of its own.
+    fn by_exact_distances(&mut self, left: &mut Left) -> Result<(), Cancelled> {
+        let stays = Stays::of(self.work, self.lattice);
+        for p in left.voxels.clone() {
+            self.work.ctx.check()?;
+            if left.voxels.contains(&p)
+                && let Some(tip) = stays.tip(p, left.slack)
+            {
+                let top = self.top_within(left.slack, &[tip], &left.voxels);
+                self.touch_along(vec![tip], top);
+                self.take_off(left);
+            }
+        }
+        Ok(())
+    }
+
+    /// What of the region the moves so far did not cut: by the lowest tip over each cell first, which tells of
+    /// nearly all.
+    fn left(&self, slack: f64) -> Result<Left, Cancelled> {
+        let (l, tool) = (self.lattice, self.work.tool);
+        let mut lowest: Vec<Option<DVec3>> = vec![None; l.cells()];
+        let mut heights = Image::empty(l);
+        for tip in self.cut_tips(&self.moves, l.s / 2.0) {
+            if let Some(i) = l.cell(tip.truncate()).map(|c| l.index(c))
+                && -(tip.z as f32) > heights.data[i]
+            {
+                heights.data[i] = -(tip.z as f32);
+                lowest[i] = Some(tip);
+            }
+        }
+        // Tips may be farther from a voxel than the cells that they are noted in.
+        let side = slack - FRAC_1_SQRT_2 * l.s;
+        let edge = |rho: f64| tool.active_lower_surface(rho);
+        let edge = Profile::new(edge, tool.active_radius(), l.s, side, 0.0);
+        let reached = edge.dilate(&heights, l, f64::NEG_INFINITY, self.work.ctx)?;
+        let is_doubtful = |p: &DVec3| {
+            let cell = l.cell(p.truncate());
+            cell.is_some_and(|c| f64::from(-reached.data[l.index(c)]) > p.z + slack)
+        };
+        let region = &self.work.step.region;
+        let seen = region.iter_ones().map(|v| self.seen(self.work.frame.center(v)));
+        let doubtful: Vec<DVec3> = seen.filter(is_doubtful).collect();
+        let near = within((tool.active_radius() + slack).min(FAR_CELLS * l.s) + l.s, l.s);
+        let is_cut = |p: &DVec3| {
+            let Some(cell) = l.cell(p.truncate()) else { return false };
+            near.iter().any(|(di, dj)| {
+                let i = cell[0].checked_add_signed(*di as isize);
+                let j = cell[1].checked_add_signed(*dj as isize);
+                let (Some(i), Some(j)) = (i, j) else { return false };
+                let inside = i < l.n[0] && j < l.n[1];
+                let tip = if inside { lowest[l.index([i, j])] } else { None };
+                tip.is_some_and(|tip| self.cuts(tip, *p, slack))
+            })
+        };
+        let voxels: Vec<DVec3> = doubtful.into_par_iter().filter(|p| !is_cut(p)).collect();
+        let voxels = self.not_cut(voxels, &self.moves, slack);
+        Ok(Left { voxels, known: self.moves.len(), slack })
+    }
+
+    /// Takes off what the moves since the last time cut.
+    fn take_off(&self, left: &mut Left) {
+        let new = &self.moves[left.known.saturating_sub(1)..];
+        left.voxels = self.not_cut(std::mem::take(&mut left.voxels), new, left.slack);
+        left.known = self.moves.len();
+    }
+
+    /// Whether a tip's edge comes within `slack` of a voxel, aside and below; (u, v, height) both.
+    fn cuts(&self, tip: DVec3, voxel: DVec3, slack: f64) -> bool {
+        let rho = tip.truncate().distance(voxel.truncate());
+        let under = self.work.tool.active_lower_surface((rho - slack).max(0.0));
+        tip.z + under <= voxel.z + slack
+    }
+
+    /// Those of some voxels that no tip of some moves cuts.
+    fn not_cut(&self, voxels: Vec<DVec3>, moves: &[Move], slack: f64) -> Vec<DVec3> {
+        if voxels.is_empty() {
+            return voxels;
+        }
+        let reach = self.work.tool.active_radius() + slack;
+        let (lo, hi) = bounds(voxels.iter().map(|p| p.truncate()));
+        let cells = Cells::over(lo, hi, reach.max(1.0));
+        let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
+        for (i, p) in voxels.iter().enumerate() {
+            if let Some(c) = cells.at(p.truncate()) {
+                waiting[c].push(i);
+            }
+        }
+        for tip in self.cut_tips(moves, APART_PITCH * self.work.frame.pitch) {
+            let at = tip.truncate();
+            for c in cells.within(at - reach, at + reach) {
+                waiting[c].retain(|i| !self.cuts(tip, voxels[*i], slack));
+            }
+        }
+        let mut left: Vec<usize> = waiting.into_iter().flatten().collect();
+        left.sort_unstable();
+        left.into_iter().map(|i| voxels[i]).collect()
+    }
+
+    /// Cuts points, as (u, v, height), each from the nearest cell over which the tip may
+    /// stand low enough.
+    fn lower_over(&mut self, points: &[DVec3], free: &[f32]) -> Result<(), Cancelled> {
+        let (l, tool) = (self.lattice, self.work.tool);
+        let h = self.work.frame.pitch as f32;
+        let offsets = within(tool.active_radius().min(FAR_CELLS * l.s), l.s);
+        let mut need = vec![f32::INFINITY; l.cells()];
+        let mut ceiling: Vec<f32> = self.top.data.iter().map(|t| t + h).collect();
+        for p in points {
+            let (uv, height) = (p.truncate(), p.z as f32);
+            let Some(cell) = l.cell(uv) else { continue };
+            let reached = |slack: f64| {
+                offsets.iter().find_map(|(di, dj)| {
+                    let i = cell[0].checked_add_signed(*di as isize)?;
+                    let j = cell[1].checked_add_signed(*dj as isize)?;
+                    let inside = i < l.n[0] && j < l.n[1];
+                    let rho = (l.uv([i, j]).distance(uv) - slack).max(0.0);
+                    let z = height + slack as f32 - tool.active_lower_surface(rho) as f32;
+                    let at = l.index([i, j]);
+                    (inside && free[at] <= z).then_some((at, z))
+                })
+            };
+            // The plan takes a voxel for the middle of its cell.
+            if let Some((at, z)) = reached(0.0).or_else(|| reached(f64::from(h) / 2.0)) {
+                let z = free[at].max(z - 0.25 * h);
+                need[at] = need[at].min(z);
+                // From just beside the region the edge meets none of it by the lattice.
+                ceiling[at] = ceiling[at].max(height + h);
+            }
+        }
+        let near = self.near()?;
+        self.levels(&need, &ceiling, &near)
+    }
+
+    /// Height of the highest of some voxels under the edge of some tips: stock is known by cells, and may be out
+    /// of reach of tips between them.
+    fn top_within(&self, slack: f64, tips: &[DVec3], voxels: &[DVec3]) -> f64 {
+        let reach = self.work.tool.active_radius() + slack;
+        let near = |v: &&DVec3| tips.iter().any(|t| t.truncate().distance(v.truncate()) <= reach);
+        voxels.iter().filter(near).map(|v| v.z).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// A point as (u, v, height).
+    fn seen(&self, p: DVec3) -> DVec3 {
+        let plane = self.lattice.plane;
+        plane.across(p).extend(plane.height(p))
+    }
+
+    /// Tips on the way of the cuts, as (u, v, height), at most `apart` mm from each other.
+    fn cut_tips<'m>(
+        &self,
+        moves: &'m [Move],
+        apart: f64,
+    ) -> impl Iterator<Item = DVec3> + use<'m, '_> {
+        let cuts = moves.windows(2).filter(|w| w[1].kind == MoveKind::Cut);
+        cuts.flat_map(move |w| {
+            let (a, b) = (self.seen(w[0].tip), self.seen(w[1].tip));
+            let n = (a.distance(b) / apart).ceil().max(1.0);
+            (0..=n as usize).map(move |i| a.lerp(b, i as f64 / n))
+        })
+    }
+}
+
+impl Left {
+    /// The share of so many voxels that is cut.
+    fn share_of(&self, all: usize) -> f64 {
+        1.0 - self.voxels.len() as f64 / all.max(1) as f64
+    }
+}
