@@ -16,8 +16,8 @@
 //! cut after it was. Beads that a later cutter sweeps are gone.
 //!
 //! Guarantees: gouges and excess to a micrometre at the middle of each facet. Not guaranteed: between
-//! the middles; moves of tools whose edge is no ball, flat or bull-nose end, which are left out;
-//! what beads leave open.
+//! the middles; moves of tools whose edge is no ball, flat or bull-nose end and no cone on the equator of its
+//! ball, which are left out; what beads leave open.
 
 use super::check::motions;
 use super::interpret::{Gait, Motion};

@@ -43,7 +43,9 @@ impl Between<'_> {
         let mut tips: Vec<DVec3> = Vec::new();
         for some in voxels.chunks(AT_A_TIME) {
             ctx.check()?;
-            let is_cut = |p: &DVec3, tips: &[DVec3]| tips.iter().rev().any(|t| self.cuts(*t, *p));
+            let is_cut = |p: &DVec3, tips: &[DVec3]| {
+                tips.iter().rev().any(|t| cuts(self.tool, *t, *p, self.slack))
+            };
             let look = |p: &DVec3| (!is_cut(p, &tips)).then(|| self.tip(*p, &places)).flatten();
             let found: Vec<Option<DVec3>> = some.par_iter().map(look).collect();
             let before = tips.len();
@@ -56,22 +58,13 @@ impl Between<'_> {
         Ok(tips)
     }
 
-    fn cuts(&self, tip: DVec3, voxel: DVec3) -> bool {
-        let rho = tip.truncate().distance(voxel.truncate());
-        tip.z <= self.highest(voxel, rho, self.slack)
-    }
-
-    /// The highest tip that cuts a voxel from `rho` mm aside; −∞ from too far.
-    fn highest(&self, voxel: DVec3, rho: f64, slack: f64) -> f64 {
-        voxel.z + slack - self.tool.active_lower_surface((rho - slack).max(0.0))
-    }
-
     /// The nearest of the places from which a voxel is met in its middle, or else within the slack.
     fn tip(&self, voxel: DVec3, places: &[DVec2]) -> Option<DVec3> {
         let mut on = None;
         [0.0, self.slack].into_iter().find_map(|slack| {
             places.iter().find_map(|by| {
-                let (at, most) = (voxel.truncate() + *by, self.highest(voxel, by.length(), slack));
+                let (at, most) =
+                    (voxel.truncate() + *by, highest(self.tool, voxel, by.length(), slack));
                 let may = most > f64::NEG_INFINITY;
                 if !may || !self.exact.is_free(at, most, self.lowest, &mut on) {
                     return None;
@@ -95,4 +88,14 @@ impl Between<'_> {
         let places = cells.into_iter().map(|(i, j)| DVec2::new(i as f64, j as f64) * apart);
         places.filter(|p| p.length() <= reach).collect()
     }
+}
+
+/// Whether a tip's edge comes within `slack` mm of a voxel's middle, aside and below; (u, v, height) both.
+pub(super) fn cuts(tool: &Tool, tip: DVec3, voxel: DVec3, slack: f64) -> bool {
+    tip.z <= highest(tool, voxel, tip.truncate().distance(voxel.truncate()), slack)
+}
+
+/// The highest tip that cuts a voxel from `rho` mm aside; −∞ from too far.
+fn highest(tool: &Tool, voxel: DVec3, rho: f64, slack: f64) -> f64 {
+    voxel.z + slack - tool.active_lower_surface((rho - slack).max(0.0))
 }

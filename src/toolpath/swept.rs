@@ -5,7 +5,8 @@
 //!
 //! Guarantees: distances outside what is swept to [`SEARCH_MM`], as long as they are sought up to the
 //! `best` given; above the edge nothing is swept. Not guaranteed: the depth inside beside the
-//! edge's upper rim, which is that to the nearer of the two.
+//! edge's upper rim, which is that to the nearer of the two; the least along a move of a tapered end, whose distance is
+//! only nearly convex, since its cone meets its ball at an angle.
 
 use super::cells::Cells;
 use super::drop::End;

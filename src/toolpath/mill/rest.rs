@@ -9,7 +9,7 @@
 //! Guarantees: what is off the list was cut, by tips a quarter of a voxel apart on its way. Not guaranteed: an
 //! empty list.
 
-use super::super::between::Between;
+use super::super::between::{Between, cuts};
 use super::super::cells::Cells;
 use super::super::close_tip::Stays;
 use super::super::image::{Image, Profile};
@@ -172,7 +172,7 @@ impl Stage<'_> {
                 let (Some(i), Some(j)) = (i, j) else { return false };
                 let inside = i < l.n[0] && j < l.n[1];
                 let tip = if inside { lowest[l.index([i, j])] } else { None };
-                tip.is_some_and(|tip| self.cuts(tip, *p, slack))
+                tip.is_some_and(|tip| cuts(tool, tip, *p, slack))
             })
         };
         let voxels: Vec<DVec3> = doubtful.into_par_iter().filter(|p| !is_cut(p)).collect();
@@ -185,13 +185,6 @@ impl Stage<'_> {
         let new = &self.moves[left.known.saturating_sub(1)..];
         left.voxels = self.not_cut(std::mem::take(&mut left.voxels), new, left.slack);
         left.known = self.moves.len();
-    }
-
-    /// Whether a tip's edge comes within `slack` of a voxel, aside and below; (u, v, height) both.
-    fn cuts(&self, tip: DVec3, voxel: DVec3, slack: f64) -> bool {
-        let rho = tip.truncate().distance(voxel.truncate());
-        let under = self.work.tool.active_lower_surface((rho - slack).max(0.0));
-        tip.z + under <= voxel.z + slack
     }
 
     /// Those of some voxels that no tip of some moves cuts.
@@ -211,7 +204,7 @@ impl Stage<'_> {
         for tip in self.cut_tips(moves, APART_PITCH * self.work.frame.pitch) {
             let at = tip.truncate();
             for c in cells.within(at - reach, at + reach) {
-                waiting[c].retain(|i| !self.cuts(tip, voxels[*i], slack));
+                waiting[c].retain(|i| !cuts(self.work.tool, tip, voxels[*i], slack));
             }
         }
         let mut left: Vec<usize> = waiting.into_iter().flatten().collect();
