@@ -118,12 +118,24 @@ impl Swept {
     /// Least distance from a point to the edge along a move.
     fn along(&self, p: DVec3, a: DVec3, b: DVec3) -> f64 {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
+        if a.z == b.z {
+            // Of places at one height the nearest across is the nearest.
+            let tip = nearest(p.truncate(), a.truncate(), b.truncate()).extend(a.z);
+            return from_edge(self.end, self.edge, tip, p);
+        }
         let (low, high) = (a.z.min(b.z), a.z.max(b.z));
-        let from = self.end.cylinder_from();
-        if from.is_some_and(|from| p.z - high >= from) && p.z - low <= self.edge {
-            // Beside the edge's cylinder all along; inside, its upper rim may be nearer.
-            let beside = apart(p.truncate(), a.truncate(), b.truncate()) - self.end.radius();
-            if beside >= 0.0 {
+        if p.z - low <= self.edge {
+            // Outside, and below the edge's upper rim all along; inside, that may be nearer.
+            let beside = match self.end {
+                End::Ball { radius } => {
+                    Some(from_upright(p, a.with_z(a.z + radius), b.with_z(b.z + radius)) - radius)
+                }
+                end => end
+                    .cylinder_from()
+                    .filter(|from| p.z - high >= *from)
+                    .map(|_| apart(p.truncate(), a.truncate(), b.truncate()) - self.end.radius()),
+            };
+            if let Some(beside) = beside.filter(|d| *d >= 0.0) {
                 return beside;
             }
         }
@@ -161,9 +173,35 @@ pub(crate) fn from_edge(end: End, edge: f64, tip: DVec3, p: DVec3) -> f64 {
 }
 
 fn apart(p: DVec2, a: DVec2, b: DVec2) -> f64 {
+    nearest(p, a, b).distance(p)
+}
+
+/// The place from a to b that is nearest to p.
+fn nearest(p: DVec2, a: DVec2, b: DVec2) -> DVec2 {
     let way = b - a;
     let t = (p - a).dot(way) / way.length_squared().max(1e-18);
-    (a + way * t.clamp(0.0, 1.0)).distance(p)
+    a + way * t.clamp(0.0, 1.0)
+}
+
+/// Distance from a point to all that is upright over the way from a to b: a ball and the cylinder over it are
+/// what lies within a radius of that.
+fn from_upright(p: DVec3, a: DVec3, b: DVec3) -> f64 {
+    let way = b - a;
+    let across = way.truncate().length();
+    if across < 1e-9 {
+        let over = (p.z - a.z.min(b.z)).min(0.0);
+        return p.truncate().distance(a.truncate()).hypot(over);
+    }
+    // In the upright plane of the way, and off it.
+    let unit = way.truncate() / across;
+    let from = p.truncate() - a.truncate();
+    let (x, off) = (from.dot(unit), from.perp_dot(unit));
+    let at = x.clamp(0.0, across);
+    if p.z - a.z >= at * way.z / across {
+        return off.hypot(x - at);
+    }
+    let t = (x * across + (p.z - a.z) * way.z) / way.length_squared();
+    a.lerp(b, t.clamp(0.0, 1.0)).distance(p)
 }
 
 #[cfg(test)]

@@ -30,8 +30,12 @@ const RING_RADII: [f64; 3] = [0.8, 1.02, 1.15];
 /// Step at which the search begins, as a share of the end's radius.
 const SEED_STEP: f64 = 0.25;
 
-/// Step at which the search ends, mm: far below what counts as left.
-const LEAST_STEP_MM: f64 = 0.005;
+/// Step at which the search ends, mm: a tenth of what counts as left.
+const LEAST_STEP_MM: f64 = 0.02;
+
+/// The eight ways to go on from a place.
+const AROUND: [(i8, i8); 8] =
+    [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)];
 
 /// Facets have no longer sides than this many pitches: half of what deviations are measured on.
 const FACET_PITCH: f64 = 1.0;
@@ -217,7 +221,7 @@ impl Touch<'_> {
         let mut step = SEED_STEP * end.radius();
         while step > LEAST_STEP_MM && best.0 > LEAST_STEP_MM {
             let (from, at) = (best.0, best.1.truncate());
-            for (i, j) in (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j))) {
+            for (i, j) in AROUND {
                 look(&mut best, at + DVec2::new(f64::from(i), f64::from(j)) * step);
             }
             if best.0 >= from {

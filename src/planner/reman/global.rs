@@ -7,6 +7,7 @@
 use super::candidates::{Admissible, Element, cover};
 use super::clip::Clip;
 use super::coarse::Coarse;
+use super::last_resort::last_resort;
 use super::round::{Attempt, Mending, attempt};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Report, Run, Start};
@@ -80,21 +81,25 @@ pub fn global_route(
     first: &Volumes,
     admissible: &Admissible,
 ) -> Result<Attempt, PlanError> {
-    let Run { start, options, report, clock, ctx, .. } = run;
+    let (start, options, ctx) = (run.start, run.options, run.ctx);
     let Start { setting, .. } = start;
     let job = setting.job;
     let mut elements = start.bad_bases.clone();
-    let mut planes = choose(setting, first, &elements, admissible, options, report)?;
-    report.tell_planes(job, &planes);
+    let mut planes = choose(setting, first, &elements, admissible, options, &mut run.report)?;
+    run.report.tell_planes(job, &planes);
     let mut best: Option<Attempt> = None;
     for round in 0..ROUNDS {
         ctx.check()?;
         let clips = planes.iter().map(|p| Clip::global(*p)).collect();
-        let made = start.attempt(clips, options, ctx)?;
-        clock.lap("blocks");
+        let mut made = start.attempt(clips, options, ctx)?;
+        run.clock.lap("blocks");
         made.tell("global", round);
         if round == 0 {
-            report.count_inaccessible(job, &made.excess, &made.deficit);
+            run.report.count_inaccessible(job, &made.excess, &made.deficit);
+        }
+        // What only cutters leave is for slimmer ones, before planes give anything up for it.
+        if !made.prints_anything() {
+            made = last_resort(run, made, None)?;
         }
         let residual = made.residual();
         let hopeless = residual as f64 > MENDABLE_SHARE * job.target.count() as f64;
@@ -107,9 +112,9 @@ pub fn global_route(
         }
         elements
             .extend(best.iter().flat_map(|b| clusters(job, &b.excess.minus(&b.below), &b.deficit)));
-        let next = choose(setting, first, &elements, admissible, options, report)?;
+        let next = choose(setting, first, &elements, admissible, options, &mut run.report)?;
         planes = if next == planes { shifted(setting, &planes) } else { next };
-        clock.lap("set_cover");
+        run.clock.lap("set_cover");
     }
     best.ok_or(PlanError::Cancelled)
 }

@@ -15,14 +15,13 @@
 
 use super::clip::Clip;
 use super::cutting::{Cuts, cut_blocks};
-use super::printing::{OnSupports, Wanted, print_blocks, print_on_supports};
+use super::printing::{OnSupports, Printing, Wanted, print_blocks, print_on_supports};
 use super::reach::within_reach;
 use super::reasons::open_below;
 use super::round::{Attempt, Mending, along, deep, printed, volumes};
-use super::setting::Setting;
 use super::{Options, Run, Start};
 use crate::base::{Ctx, Direction};
-use crate::plan::{Job, Step, StepKind};
+use crate::plan::{Job, Plan, Step, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::Volumes;
 use crate::voxel::{BitGrid, distance_within};
@@ -67,45 +66,43 @@ impl UnderPlanes {
     }
 }
 
-/// The best of an attempt and what the last resort makes of its planes; `on_supports` is what
-/// [`on_supports`] made, where that is known.
+/// The best of an attempt and what the last resort makes of its planes, if that was not looked at before;
+/// `on_supports` is what [`on_supports`] made, where that is known.
 pub fn last_resort(
     run: &mut Run,
     plain: Attempt,
     on_supports: Option<Attempt>,
 ) -> Result<Attempt, PlanError> {
-    let all_tools = run.start.setting.with_last_resort();
-    let closely = run.start.setting.with_close_cuts();
+    if run.resorted.contains(&plain.clips) {
+        return Ok(plain);
+    }
+    run.resorted.push(plain.clips.clone());
+    let known = on_supports.filter(|o| o.clips == plain.clips);
     let (clips, volumes) = (plain.clips.clone(), plain.volumes.clone());
     let under = UnderPlanes { clips, volumes };
-    let (_, added) = deep(&all_tools, &under.volumes);
-    let finished = finished_stock(&plain);
-    let known = on_supports.filter(|o| o.clips == plain.clips);
-    let with = (&under, &finished, !added.is_empty());
+    let best = match plain.prints_anything() {
+        true => resorted(run, &under, plain, known)?,
+        false => plain,
+    };
     // Close cuts are many and small. Where anything is printed, other supports may do without.
-    let mut best = plain;
-    if !added.is_empty() {
-        best = resorted(run, &all_tools, with, best, known)?;
-    }
-    resorted(run, &closely, with, best, None)
+    closely_cut(run, &under, best)
 }
 
-/// The best of an attempt and what the tools of a setting make of its planes.
+/// The best of an attempt and what all tools make of its planes.
 fn resorted(
     run: &mut Run,
-    setting: &Setting,
-    (under, finished, prints): (&UnderPlanes, &Stock, bool),
+    under: &UnderPlanes,
     mut best: Attempt,
     mut known: Option<Attempt>,
 ) -> Result<Attempt, PlanError> {
+    let setting = &run.start.setting.with_last_resort();
     let start = run.start.in_setting(setting);
+    let finished = &finished_stock(&best);
     for (waits, supports) in [(true, true), (false, false), (false, true)] {
         if best.residual() == 0 || run.ctx.out_of_time() {
             break;
         }
-        // What is not printed needs no supports.
-        let on_supports = run.options.supports && prints;
-        let unlike_before = if supports { on_supports } else { setting.has_last_resort() };
+        let unlike_before = if supports { run.options.supports } else { setting.has_last_resort() };
         if !unlike_before || waits && under.clips.is_empty() {
             continue;
         }
@@ -122,6 +119,25 @@ fn resorted(
         best = made.unwrap_or(best);
     }
     Ok(best)
+}
+
+/// An attempt and, after all its steps, cuts of what it leaves standing by all tools and exact distances,
+/// and deposits of what those open; itself where that leaves no less.
+fn closely_cut(run: &mut Run, under: &UnderPlanes, best: Attempt) -> Result<Attempt, PlanError> {
+    if best.excess.count() == best.below.count() || run.ctx.out_of_time() {
+        return Ok(best);
+    }
+    let setting = run.start.setting.with_close_cuts();
+    let start = run.start.in_setting(&setting);
+    let job = setting.job;
+    let state = end_state(job, &Plan { holdings: Vec::new(), steps: best.steps.clone() }).state;
+    let so_far =
+        Printing { steps: Vec::new(), state, unreached: best.deficit.clone(), shares: Vec::new() };
+    let after = (best.steps.clone(), best.cuts, best.stock.clone());
+    let made = start.ended(under, after, (so_far, &best.deficit), &[], run.options, run.ctx)?;
+    run.clock.lap("blocks");
+    made.tell("close cuts", 0);
+    Ok(if is_better(&made, &best, job) { made } else { best })
 }
 
 /// What comes of planes when the stock below them waits and deposits stand on supports. The setting
@@ -242,6 +258,11 @@ impl Care {
 }
 
 impl Attempt {
+    /// Whether any of it is printed, or would be.
+    pub fn prints_anything(&self) -> bool {
+        !self.deficit.is_empty() || self.steps.iter().any(|s| s.kind == StepKind::Additive)
+    }
+
     /// Its cuts, those that are no longer of the stock alone.
     fn cuts_after(&self, stock_cuts: usize) -> Vec<Step> {
         let cuts = self.steps.iter().filter(|s| s.kind == StepKind::Subtractive);
@@ -293,9 +314,8 @@ impl Start<'_> {
         options: &Options,
         ctx: &Ctx,
     ) -> Result<Attempt, PlanError> {
-        let (setting, job) = (self.setting, self.setting.job);
-        let reused = &under.volumes.reused;
-        let skin = setting.skin(reused);
+        let setting = self.setting;
+        let skin = setting.skin(&under.volumes.reused);
         let (_, added) = deep(setting, &under.volumes);
         let added = added.minus(&stock.state);
         let preferred = along(&under.clips, &self.preferred);
@@ -311,29 +331,57 @@ impl Start<'_> {
             Some(on) => print_on_supports(setting, self.coarse, &wanted, on, ctx)?,
             None => printed(setting, self.coarse, &wanted, Mending::Some, ctx)?,
         };
+        let after = (stock.cuts.clone(), stock.cuts.len(), stock.state.clone());
+        self.ended(under, after, (printing, wanted.core), before, options, ctx)
+    }
+
+    /// After some steps (so many of them cuts of the stock, and what those leave) and what is printed next: cuts
+    /// of what stands outside the target, those of a round before first, and deposits of what is still
+    /// missing.
+    fn ended(
+        &self,
+        under: &UnderPlanes,
+        (mut steps, cuts, stock): (Vec<Step>, usize, BitGrid),
+        (printing, core): (Printing, &BitGrid),
+        before: &[Step],
+        options: &Options,
+        ctx: &Ctx,
+    ) -> Result<Attempt, PlanError> {
+        let (setting, job) = (self.setting, self.setting.job);
+        let reused = &under.volumes.reused;
+        let skin = setting.skin(reused);
         let next_job = Job { initial: printing.state, ..job.clone() };
         let next = setting.of_next_round(&next_job, setting.old_of(reused));
         let removed = next_job.initial.minus(&job.target);
         let deep = removed.minus(&skin);
         let samples = options.directions;
-        let cuts = Cuts { removable: &removed, deep: &deep, samples, before };
-        let cutting = cut_blocks(&next, self.coarse, &cuts, ctx)?;
-        let still = Wanted { state: &cutting.state, added: &printing.unreached, ..wanted };
+        let way = Cuts { removable: &removed, deep: &deep, samples, before };
+        let cutting = cut_blocks(&next, self.coarse, &way, ctx)?;
+        let still = Wanted {
+            state: &cutting.state,
+            added: &printing.unreached,
+            core,
+            preferred: &along(&under.clips, &self.preferred),
+            samples,
+            at_a_glance: false,
+        };
         let last = print_blocks(&next, self.coarse, &still, &[], ctx)?;
-        let mut steps = stock.cuts.clone();
-        let deposits = printing.steps.len();
-        steps.extend(printing.steps);
-        let numbered = |first: usize| move |s: Step| Step { block: first + s.block, ..s };
-        steps.extend(cutting.steps.into_iter().map(numbered(stock.cuts.len())));
-        steps.extend(last.steps.into_iter().map(numbered(deposits)));
+        for part in [printing.steps, cutting.steps, last.steps] {
+            let of = |kind| steps.iter().filter(|s| s.kind == kind).count();
+            let [cuts, deposits] = [StepKind::Subtractive, StepKind::Additive].map(of);
+            steps.extend(part.into_iter().map(|s| {
+                let first = if s.kind == StepKind::Subtractive { cuts } else { deposits };
+                Step { block: first + s.block, ..s }
+            }));
+        }
         let excess = cutting.unreached;
         let below = open_below(setting, self.coarse, reused, &excess, ctx)?;
         Ok(Attempt {
             clips: under.clips.clone(),
             volumes: under.volumes.clone(),
             steps,
-            cuts: stock.cuts.len(),
-            stock: stock.state.clone(),
+            cuts,
+            stock,
             excess,
             deficit: last.unreached.minus(&skin),
             below,

@@ -66,6 +66,7 @@ pub(super) fn with_run<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
         options: &options,
         on_supports: None,
         printed_first: None,
+        resorted: Vec::new(),
         report: Report::default(),
         clock: Clock::default(),
         ctx: &ctx,

@@ -246,6 +246,8 @@ struct Run<'a> {
     on_supports: Option<Attempt>,
     /// What came of printing first, where that was tried and is within the rules.
     printed_first: Option<Attempt>,
+    /// The planes of attempts that the last resort was taken to.
+    resorted: Vec<Vec<Clip>>,
     report: Report,
     clock: Clock,
     ctx: &'a Ctx,
@@ -349,6 +351,7 @@ fn one_round(
         options,
         on_supports: None,
         printed_first: None,
+        resorted: Vec::new(),
         report,
         clock,
         ctx,
@@ -362,7 +365,9 @@ fn one_round(
     let was_made = attempts.iter().all(|a| a.printed_aside(job).is_empty());
     let mut best = run.printed_first.take();
     for attempt in attempts {
-        if best.as_ref().is_some_and(|b| is_complete(b, job)) {
+        // One that leaves more than the rules allow is no way on from one that does not.
+        let is_no_way_on = |b: &Attempt| b.is_valid(job) && !attempt.is_valid(job);
+        if best.as_ref().is_some_and(|b| is_complete(b, job) || is_no_way_on(b)) {
             break;
         }
         let known = run.on_supports.take();
