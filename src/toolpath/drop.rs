@@ -14,6 +14,9 @@ use crate::machine::{Shape, Tool};
 /// Width at which the search along an edge stops, mm: the height is then exact to its square.
 const EDGE_MM: f64 = 1e-6;
 
+/// Steeper faces are met by their edges: the z of their unit normals is smaller.
+const UPRIGHT: f64 = 1e-9;
+
 /// Margin of bounds, mm: above their rounding, which is largest at the rim, where an end is steep.
 const BOUND_MM: f64 = 1e-5;
 
@@ -176,10 +179,13 @@ impl End {
     /// Tip height at which the end, its axis through `at`, touches the triangle of this normal (see
     /// [`upward`]); none when it passes by. Edges below `above` are passed over.
     fn touch(&self, at: DVec2, t: &[DVec3; 3], normal: DVec3, above: f64) -> Option<f64> {
-        let mut best = f64::NEG_INFINITY;
-        if let End::Taper { radius, .. } = *self {
-            best = End::Ball { radius }.touch(at, t, normal, above).unwrap_or(best);
-        }
+        let mut best = match *self {
+            End::Ball { radius } => return ball_on(at, t, normal, radius, above),
+            End::Taper { radius, .. } => {
+                ball_on(at, t, normal, radius, above).unwrap_or(f64::NEG_INFINITY)
+            }
+            _ => f64::NEG_INFINITY,
+        };
         if let Some(z) = self.on_face(at, t, normal) {
             best = best.max(z);
         }
@@ -195,9 +201,8 @@ impl End {
         best.is_finite().then_some(best)
     }
 
+    /// Of ends that are no ball.
     fn on_face(&self, at: DVec2, [a, b, c]: &[DVec3; 3], normal: DVec3) -> Option<f64> {
-        /// Steeper faces are met by their edges.
-        const UPRIGHT: f64 = 1e-9;
         if normal.z < UPRIGHT {
             return None;
         }
@@ -252,10 +257,7 @@ impl End {
             |x: f64| a.z + slope * (x - start) - self.convex((x * x + apart * apart).sqrt());
         let x = match *self {
             End::Flat { .. } => return Some(height_flat(a.z, slope, start, low, high)),
-            // The circle that the ball cuts in the edge's upright plane touches a line of this
-            // slope where its own slope is the same.
-            End::Ball { .. } => half * slope / (1.0 + slope * slope).sqrt(),
-            End::Bull { .. } => highest(&height, low, high),
+            End::Ball { .. } | End::Bull { .. } => highest(&height, low, high),
             // The same for the hyperbola that the cone cuts in it, or the rim of the disc below that.
             End::Taper { radius: disc, slope: steep, .. } => {
                 let fall = (steep * steep - slope * slope).max(0.0).sqrt();
@@ -266,6 +268,57 @@ impl End {
         };
         // At the ends the height may be steeper than the search is fine.
         Some(height(x.clamp(low, high)).max(height(low)).max(height(high)))
+    }
+}
+
+/// [`End::touch`] of a ball, the end of most: without the roots that other ends ask for.
+fn ball_on(at: DVec2, t: &[DVec3; 3], normal: DVec3, radius: f64, above: f64) -> Option<f64> {
+    let mut best = f64::NEG_INFINITY;
+    if normal.z >= UPRIGHT {
+        let contact = at - normal.truncate() * radius;
+        let [a, b, c] = t.map(DVec3::truncate);
+        if inside(contact, a, b, c) {
+            let rise = (contact - a).dot(normal.truncate()) / normal.z;
+            best = t[0].z - rise - radius + radius * normal.z;
+        }
+    }
+    for i in 0..3 {
+        let (a, b) = (t[i], t[(i + 1) % 3]);
+        if let Some(z) = ball_on_edge(at, a, b, radius, above.max(best)) {
+            best = best.max(z);
+        }
+    }
+    best.is_finite().then_some(best)
+}
+
+/// Height of a ball's tip that touches an edge, if it is above some height.
+fn ball_on_edge(at: DVec2, a: DVec3, b: DVec3, radius: f64, above: f64) -> Option<f64> {
+    let (p, way, rise) = (a.truncate() - at, (b - a).truncate(), b.z - a.z);
+    let (r2, length2) = (radius * radius, way.length_squared());
+    // A corner, or the upper one of an upright edge.
+    let corner = |from: DVec2, z: f64| {
+        let over = r2 - from.length_squared();
+        (over >= 0.0).then(|| z - radius + over.sqrt())
+    };
+    if length2 < 1e-24 {
+        return corner(p, a.z.max(b.z)).filter(|z| *z > above);
+    }
+    let aside = p.perp_dot(way);
+    let half2 = r2 - aside * aside / length2;
+    // The circle that the ball cuts in the edge's upright plane is nowhere higher than this over it.
+    let room = above - a.z.max(b.z) + radius;
+    if half2 < 0.0 || room >= 0.0 && half2 <= room * room {
+        return None;
+    }
+    // It touches a line of this slope where its own slope is the same.
+    let (half, space2) = (half2.sqrt(), length2 + rise * rise);
+    let along = half * rise / (length2 * space2).sqrt() - p.dot(way) / length2;
+    if along <= 0.0 {
+        corner(p, a.z)
+    } else if along >= 1.0 {
+        corner(p + way, b.z)
+    } else {
+        Some(a.z + rise * along - radius + half * (length2 / space2).sqrt())
     }
 }
 
