@@ -363,7 +363,7 @@ fn prepare(
             Taken::Always => true,
             Taken::FineGrids => t.is_round_at(frame.pitch),
             // Planner search weighs all its tools against each other at every step.
-            Taken::LastResort => config.search.is_none(),
+            Taken::LastResort | Taken::NarrowGaps => config.search.is_none(),
         });
     }
     let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&nozzles));

@@ -60,6 +60,9 @@ pub enum Taken {
     FineGrids,
     /// Only for what all others leave, since it is slender and slow; it makes voxels no finer.
     LastResort,
+    /// Only where another tool would make a cut but has no room beside the surfaces for it; it makes voxels no
+    /// finer.
+    NarrowGaps,
 }
 
 impl Taken {
@@ -140,6 +143,12 @@ impl Tool {
     pub fn is_tapered(&self) -> bool {
         let widens = |s: &Section| matches!(s.shape, Shape::Frustum { r0, r1, .. } if r0 < r1);
         self.sections.iter().any(|s| s.active && widens(s))
+    }
+
+    /// Whether its edge is a ball, and a cylinder over that as wide.
+    pub fn has_ball_end(&self) -> bool {
+        let tip = self.active().next();
+        matches!(tip, Some(Shape::Ball { radius }) if self.active_radius() <= *radius)
     }
 
     /// The same tool, everywhere so many mm farther from its axis.

@@ -41,6 +41,7 @@
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
 //! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`); of a worn
 //!   part, of which little is to be cut, all is planned that way where planes give up much.
+//! - What a cutter has no room for beside the surfaces is left to a slimmer one (`fitting`).
 //! - A long cut by a slender cutter is roughed with a stouter one first (`roughing`).
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
@@ -65,6 +66,7 @@ mod compared;
 mod cutting;
 mod fewest;
 mod finish;
+mod fitting;
 mod glance;
 mod global;
 mod hidden;
@@ -102,6 +104,7 @@ use coarse::Coarse;
 use compared::{bottom_up, top_down};
 use fewest::with_fewest_cuts;
 use finish::finished;
+use fitting::fitted;
 use global::{choose, global_route, most_promising};
 use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
@@ -389,6 +392,7 @@ fn one_round(
         aside = made.printed_aside(job).count();
         best = made;
     }
+    best = fitted(&mut run, best)?;
     best = roughed(&mut run, best)?;
     run.report.note_supports(job, aside, was_made);
     let Run { mut report, clock, .. } = run;

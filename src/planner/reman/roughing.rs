@@ -29,8 +29,52 @@ const LEAST_SHARE: f64 = 0.1;
 
 /// The plan with each long cut roughed by stouter cutters first, where they save time.
 pub fn roughed(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
-    let job = run.start.setting.job;
-    let mut state = job.initial.clone();
+    divided(run, attempt, |run, before, step| {
+        let job = run.start.setting.job;
+        let mut state = before.state.clone();
+        let (mut steps, mut rest) = (Vec::new(), step.clone());
+        let (own, faster) = stouter(run, step);
+        let seconds =
+            |voxels: usize, rate: f64| voxels as f64 * job.frame.voxel_volume() / rate * 60.0;
+        for (tool, rate) in faster {
+            run.ctx.check()?;
+            let least = LEAST_SAVING_S.max(LEAST_SHARE * seconds(step.region.count(), own));
+            let saved = |voxels: usize| seconds(voxels, own) - seconds(voxels, rate);
+            if saved(rest.region.count()) < least || run.ctx.out_of_time() {
+                continue;
+            }
+            let way = (tool, step.direction);
+            let open = with_room(job, &state, &rest.region, before.fixed, way);
+            let of = (&state, &open);
+            let region = held_part(run.start.setting, run.start.coarse, of, before.fixed, way);
+            if saved(region.count()) < least {
+                continue;
+            }
+            tracing::debug!(tool = tool.name, saved = saved(region.count()), "roughing");
+            state.subtract(&region);
+            rest.region.subtract(&region);
+            steps.push(Step { tool: tool.name.clone(), region, ..step.clone() });
+        }
+        steps.push(rest);
+        Ok(steps)
+    })
+}
+
+/// What a cut is made from.
+pub(super) struct Before<'a> {
+    pub state: &'a BitGrid,
+    /// Fixed obstacle points of its holding.
+    pub fixed: &'a [DVec3],
+}
+
+/// A plan with each of its cuts exchanged for those that it is divided into, which leave the same state; of those
+/// that are empty none is made.
+pub(super) fn divided(
+    run: &mut Run,
+    attempt: Attempt,
+    into: impl Fn(&Run, Before, &Step) -> Result<Vec<Step>, PlanError>,
+) -> Result<Attempt, PlanError> {
+    let mut state = run.start.setting.job.initial.clone();
     let (mut steps, mut cuts): (Vec<Step>, usize) = (Vec::new(), 0);
     let mut fixed = Vec::new();
     let mut held = None;
@@ -45,33 +89,9 @@ pub fn roughed(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
             held = Some(step.holding);
             fixed = run.start.setting.fixed(step.holding, &state);
         }
-        let mut rest = step.clone();
-        let (own, faster) = stouter(run, step);
-        let seconds =
-            |voxels: usize, rate: f64| voxels as f64 * job.frame.voxel_volume() / rate * 60.0;
-        for (tool, rate) in faster {
-            run.ctx.check()?;
-            let least = LEAST_SAVING_S.max(LEAST_SHARE * seconds(step.region.count(), own));
-            let saved = |voxels: usize| seconds(voxels, own) - seconds(voxels, rate);
-            if saved(rest.region.count()) < least || run.ctx.out_of_time() {
-                continue;
-            }
-            let way = (tool, step.direction);
-            let open = with_room(job, &state, &rest.region, &fixed, way);
-            let of = (&state, &open);
-            let region = held_part(run.start.setting, run.start.coarse, of, &fixed, way);
-            if saved(region.count()) < least {
-                continue;
-            }
-            tracing::debug!(step = i, tool = tool.name, saved = saved(region.count()), "roughing");
-            state.subtract(&region);
-            rest.region.subtract(&region);
-            steps.push(Step { tool: tool.name.clone(), region, ..step.clone() });
-        }
-        state.subtract(&rest.region);
-        if !rest.region.is_empty() {
-            steps.push(rest);
-        }
+        let made = into(run, Before { state: &state, fixed: &fixed }, step)?;
+        steps.extend(made.into_iter().filter(|s| !s.region.is_empty()));
+        state.subtract(&step.region);
         if i < attempt.cuts {
             cuts = steps.len();
         }
@@ -84,7 +104,7 @@ pub fn roughed(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
 
 /// What of a region a cutter half a voxel wider reaches beside the target and the fixed points: voxels' middles let
 /// it into gaps that its surfaces are too near each other for, which is not for the first of two cutters.
-fn with_room(
+pub(super) fn with_room(
     job: &Job,
     state: &BitGrid,
     region: &BitGrid,

@@ -62,7 +62,17 @@ impl<'a> Setting<'a> {
 
     /// The cutters that take part, shortest first.
     pub fn cutters(&self) -> &'a [Tool] {
-        if self.last_resort { &self.job.cutters } else { self.usual_cutters() }
+        if self.last_resort { but_for_gaps(&self.job.cutters) } else { self.usual_cutters() }
+    }
+
+    /// All ball ends that are slimmer than a cutter, the stoutest first.
+    pub fn slimmer_cutters(&self, than: &Tool) -> Vec<&'a Tool> {
+        let is_slimmer = |t: &&Tool| t.has_ball_end() && t.active_radius() < than.active_radius();
+        let mut slimmer: Vec<&Tool> = self.job.cutters.iter().filter(is_slimmer).collect();
+        slimmer.sort_by(|a, b| {
+            b.active_radius().total_cmp(&a.active_radius()).then_with(|| a.name.cmp(&b.name))
+        });
+        slimmer
     }
 
     /// Those of them that are no last resort.
@@ -73,12 +83,12 @@ impl<'a> Setting<'a> {
     /// Whether the job has tools that only the last resort takes.
     pub fn has_last_resort(&self) -> bool {
         let Job { cutters, nozzles, .. } = self.job;
-        usual(cutters).len() < cutters.len() || usual(nozzles).len() < nozzles.len()
+        [cutters, nozzles].into_iter().any(|tools| usual(tools).len() < but_for_gaps(tools).len())
     }
 
     /// The nozzles that take part, shortest first.
     pub fn nozzles(&self) -> &'a [Tool] {
-        if self.last_resort { &self.job.nozzles } else { usual(&self.job.nozzles) }
+        if self.last_resort { but_for_gaps(&self.job.nozzles) } else { usual(&self.job.nozzles) }
     }
 
     /// What of a set stands of the initial part.
@@ -173,9 +183,18 @@ impl<'a> Setting<'a> {
     }
 }
 
-/// The tools that are no last resort, which stands last in a table; all where there are no others.
+/// The tools that are no last resort; those that are where there are no others. Tools stand in a job in the
+/// order of [`Taken`].
 fn usual(tools: &[Tool]) -> &[Tool] {
-    match tools.partition_point(|t| t.taken != Taken::LastResort) {
+    match tools.partition_point(|t| t.taken < Taken::LastResort) {
+        0 => but_for_gaps(tools),
+        others => &tools[..others],
+    }
+}
+
+/// Those that are not only for narrow gaps; all where there are no others.
+fn but_for_gaps(tools: &[Tool]) -> &[Tool] {
+    match tools.partition_point(|t| t.taken < Taken::NarrowGaps) {
         0 => tools,
         others => &tools[..others],
     }

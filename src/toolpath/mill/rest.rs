@@ -57,11 +57,16 @@ impl Stage<'_> {
         let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
         let mut left = self.left(half)?;
         let exact = std::mem::take(&mut self.exact.tips.data);
+        let mut counts = vec![left.voxels.len()];
         self.cut_over(&mut left, &exact)?;
+        counts.push(left.voxels.len());
         if self.meshes.is_some() {
             self.between_cells(&mut left)?;
+            counts.push(left.voxels.len());
             self.for_a_gouge(&mut left, &exact)?;
+            counts.push(left.voxels.len());
         }
+        tracing::debug!(tool = self.work.tool.name, all, left = ?counts, "rest");
         if all <= FEW && left.share_of(all) < LEAST_SHARE && left.voxels.len() <= FEWEST {
             self.by_exact_distances(&mut left)?;
         }
