@@ -173,3 +173,37 @@ fn clusters(job: &Job, excess: &BitGrid, deficit: &BitGrid) -> Vec<Element> {
     }
     elements
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::local_tests::{job_of, with_run};
+    use super::super::round::volumes;
+    use super::*;
+    use crate::base::DVec3;
+    use crate::voxel::Frame;
+
+    /// A groove that only a cutter of the last resort fits into: planes could but give up the block beside it,
+    /// and used to be planned with first.
+    #[test]
+    fn a_groove_is_for_slim_cutters_before_planes() {
+        let frame = Frame { pitch: 0.4, dims: [44, 34, 34], origin: DVec3::ZERO };
+        let block = |v: [usize; 3]| {
+            (2..42).contains(&v[0]) && (2..32).contains(&v[1]) && (1..31).contains(&v[2])
+        };
+        let initial = BitGrid::from_fn(frame.dims, block);
+        let groove = |v: [usize; 3]| (15..19).contains(&v[1]) && v[2] > 14;
+        let target = BitGrid::from_fn(frame.dims, |v| block(v) && !groove(v));
+        let job = job_of(frame, initial, target.clone(), |_| true);
+        let (plain, made, resorted) = with_run(&job, |run| {
+            let first = volumes(&job, &[]);
+            let plain = run.start.attempt(Vec::new(), run.options, run.ctx).unwrap();
+            let normals = run.normals;
+            let made = global_route(run, &first, &Admissible::all(&job, normals)).unwrap();
+            (plain, made, run.resorted.clone())
+        });
+        assert!(plain.excess.count() > 100, "the usual cutters leave {}", plain.excess.count());
+        assert_eq!((made.left(), &made.volumes.reused), (0, &target));
+        assert!(made.clips.is_empty());
+        assert_eq!(resorted, [Vec::new()]);
+    }
+}
