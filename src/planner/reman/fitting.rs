@@ -9,7 +9,8 @@
 //! for it. Of a tapered edge's cut what a wider one does not reach counts as crowded, of a small cut all of it.
 //!
 //! Guarantees: those of cuts; the state after each of the plan's own cuts is what it was, and so are its directions
-//! and holdings. Not guaranteed: that there is such a cutter, or that it is long enough.
+//! and holdings. Not guaranteed: that there is such a cutter, or that it is long enough; that a place is found where
+//! there is one, for voxels are looked at two by two by two, and steps may miss it: a cut is then divided in vain.
 
 use super::Run;
 use super::cutting::held_part;
@@ -45,7 +46,8 @@ const GOUGE_MM: f64 = 0.05;
 /// Along an edge the surface is asked for so many radii apart.
 const APART: f64 = 1.5;
 
-/// Steps away from the nearest of the surface, the first [`FULL_STEPS`] as far as there is to go.
+/// Steps away from the nearest of the surface, the first [`FULL_STEPS`] as far as there is to go, each of the others
+/// by 0.7 of the one before.
 const STEPS: i32 = 16;
 const FULL_STEPS: i32 = 4;
 

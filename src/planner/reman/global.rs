@@ -1,5 +1,6 @@
 //! Global planes: a cover of the bases that are not plano-convex, then of what the blocks left, and
-//! where that changes nothing, planes shifted toward the base (W2V Sec. 4.1, 4.2).
+//! where that changes nothing, planes shifted toward the base (W2V Sec. 4.1, 4.2). Where nothing is printed, what
+//! cutters left goes to those of the last resort before another plane gives anything up for it.
 //!
 //! Guarantees: the cover is of least weight. Not guaranteed: that the shift ends with a plan that
 //! reaches everything.

@@ -8,7 +8,9 @@
 //! is tried again, the same cuts first, with none that they would not reach and slim ones near the
 //! others; where crumbs are missing in creases that close before their turn, what lies around them
 //! is printed ahead of all else. If this way leaves something, the stock is cut before anything is printed, once
-//! without supports and once with them.
+//! without supports and once with them. After all steps of the best of these come cuts by all tools and by exact
+//! distances, where it leaves something standing, and deposits of what those open; where nothing is printed they are
+//! all there is to do.
 //!
 //! Guarantees: those of cuts and deposits. A plan is made this way only if it ranks higher and
 //! leaves less. Not guaranteed: that nothing is left.
