@@ -22,6 +22,7 @@ mod allowance_tests;
 mod ceilings;
 mod cells;
 mod close_cut;
+mod close_nozzle;
 mod collateral;
 mod columns;
 mod depend;
@@ -47,6 +48,7 @@ mod voxel_tool;
 
 pub use additive::{CarrierTable, supported};
 pub use close_cut::Close;
+pub use close_nozzle::clear_closely;
 pub use collateral::{Collateral, collateral};
 pub use depend::{CellSet, Cells, Demand, DependencyGraph, Reachers};
 pub use depth::{cutter_map, cutter_maps, nozzle_map};

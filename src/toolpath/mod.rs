@@ -20,6 +20,7 @@ mod exact;
 mod faces;
 mod image;
 mod infill;
+mod lapped;
 mod mill;
 mod moves;
 mod near;

@@ -4,7 +4,9 @@
 //! what is left; in each the block's exact outline at mid height (see `piece`) is inset for the
 //! perimeters; where the layers above or below leave it bare it is filled whole, elsewhere by the
 //! pattern. Where a step's outlines are so narrow that its perimeters would lie half on each other,
-//! they leave out what is narrower than a bead and a half. The tip rides on the top of its layer. Travels draw the filament back and rise where
+//! they leave out what is narrower than a bead and a half, or than two; of a small region lines that lie mostly
+//! on others are left out as well (`lapped`). The tip rides on the top of its layer.
+//! Travels draw the filament back and rise where
 //! the nozzle would meet the state before the step.
 //!
 //! Guarantees: every bead's centre line lies inside the section, half a bead from its outline (less
@@ -15,6 +17,7 @@
 use super::comb::Islands;
 use super::image::{Image, Lattice};
 use super::infill::{Fill, Line, fill, hatch, length as length_of};
+use super::lapped::{laid_and_covered, without_lapped};
 use super::mill::{Free, Work};
 use super::moves::{Figures, Move, MoveKind};
 use super::piece::{Piece, outlines};
@@ -46,6 +49,9 @@ const LEAST_WIDTH: f64 = 0.5;
 /// What loops may lay on the whole, as a multiple of what they cover: more, and narrow places get
 /// single beads in place of two that lie half on each other. Below what the program's check allows.
 const MOST_LAPPED: f64 = 1.1;
+
+/// Half widths, in beads, up to which perimeters leave out necks then, one after the other as long as it is too much.
+const NECKS: [f64; 2] = [0.25, 0.5];
 
 /// A region of so few voxels, or with this share of it too thin for a bead, is looked over for what
 /// beads stay away from: elsewhere that is no part of it that counts.
@@ -136,20 +142,30 @@ pub(super) fn print(work: &Work, process: &Printing) -> Result<Printed, Cancelle
         let coarse = Sections::new(&slabs, process, |z| piece.coarse(z));
         layers = coarse.layers(&slabs, process);
     }
-    let total = |of: fn(&Layer) -> f64| layers.iter().map(of).sum::<f64>();
-    if total(|l| l.laid) > MOST_LAPPED * total(|l| l.room) {
-        let narrow = Printing { neck: process.width / 4.0, ..*process };
-        layers = sections.layers(&slabs, &narrow);
+    let voxels = work.step.region.count();
+    let is_too_much = |layers: &[Layer]| match voxels <= FEW {
+        true => is_lapped(layers, process.width),
+        false => may_be_lapped(layers),
+    };
+    for neck in NECKS.map(|share| share * process.width) {
+        if !is_too_much(&layers) {
+            break;
+        }
+        layers = sections.layers(&slabs, &Printing { neck, ..*process });
     }
     let thin_mm3 = layers.iter().map(|l| l.thin_mm3).sum::<f64>();
     let middles: Vec<f64> = slabs.iter().map(Slab::middle).collect();
-    let voxels = work.step.region.count();
     if voxels <= FEW || thin_mm3 > MUCH_THIN * voxels as f64 * work.frame.voxel_volume() {
         let lines = layers.iter().zip(&middles);
         let lines = lines.flat_map(|(l, z)| l.loops.iter().chain(&l.fill).map(|line| (*z, line)));
         for (k, bead) in specks(work, process, &plane, &middles, lines) {
             layers[k].fill.push(bead);
         }
+    }
+    if voxels <= FEW && is_too_much(&layers) {
+        layers.iter_mut().for_each(|l| {
+            l.fill = without_lapped(&l.loops, std::mem::take(&mut l.fill), process.width);
+        });
     }
     let is_bare = |k: usize| layers[k].is_bare();
     for (k, bead) in in_bare_layers(work, process, &plane, &middles, is_bare) {
@@ -171,6 +187,19 @@ pub(super) fn print(work: &Work, process: &Printing) -> Result<Printed, Cancelle
     head.leave();
     let figures = Figures { thin_mm3, ..Figures::default() };
     Ok(Printed { moves: head.moves, safe_height: safe, figures })
+}
+
+/// Whether loops lay too much for what they enclose. What they leave bare inside of it is not looked at.
+fn may_be_lapped(layers: &[Layer]) -> bool {
+    let total = |of: fn(&Layer) -> f64| layers.iter().map(of).sum::<f64>();
+    total(|l| l.laid) > MOST_LAPPED * total(|l| l.room)
+}
+
+/// Whether loops and lines together lie too much on each other.
+fn is_lapped(layers: &[Layer], width: f64) -> bool {
+    let each = layers.iter().map(|l| laid_and_covered(&l.loops, &l.fill, width));
+    let [laid, covered] = each.fold([0.0; 2], |[a, b], [laid, covered]| [a + laid, b + covered]);
+    laid > MOST_LAPPED * covered
 }
 
 /// What of the layers does not depend on how their beads are laid.

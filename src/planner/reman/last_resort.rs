@@ -17,11 +17,13 @@
 
 use super::clip::Clip;
 use super::cutting::{Cuts, cut_blocks};
-use super::printing::{OnSupports, Printing, Wanted, print_blocks, print_on_supports};
+use super::printing::{
+    OnSupports, Printing, Wanted, leaves_none, print_blocks, print_crumbs, print_on_supports,
+};
 use super::reach::within_reach;
 use super::reasons::open_below;
 use super::round::{Attempt, Mending, along, deep, printed, volumes};
-use super::{Options, Run, Start};
+use super::{Options, Run, Start, followed};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Plan, Step, StepKind, end_state};
 use crate::planner::PlanError;
@@ -133,8 +135,7 @@ fn closely_cut(run: &mut Run, under: &UnderPlanes, best: Attempt) -> Result<Atte
     let start = run.start.in_setting(&setting);
     let job = setting.job;
     let state = end_state(job, &Plan { holdings: Vec::new(), steps: best.steps.clone() }).state;
-    let so_far =
-        Printing { steps: Vec::new(), state, unreached: best.deficit.clone(), shares: Vec::new() };
+    let so_far = Printing::before_any(state, best.deficit.clone());
     let after = (best.steps.clone(), best.cuts, best.stock.clone());
     let made = start.ended(under, after, (so_far, &best.deficit), &[], run.options, run.ctx)?;
     run.clock.lap("blocks");
@@ -368,13 +369,9 @@ impl Start<'_> {
             at_a_glance: false,
         };
         let last = print_blocks(&next, self.coarse, &still, &[], ctx)?;
+        let last = print_crumbs(&next, self.coarse, &still, last, leaves_none, ctx)?;
         for part in [printing.steps, cutting.steps, last.steps] {
-            let of = |kind| steps.iter().filter(|s| s.kind == kind).count();
-            let [cuts, deposits] = [StepKind::Subtractive, StepKind::Additive].map(of);
-            steps.extend(part.into_iter().map(|s| {
-                let first = if s.kind == StepKind::Subtractive { cuts } else { deposits };
-                Step { block: first + s.block, ..s }
-            }));
+            steps = followed(steps, part);
         }
         let excess = cutting.unreached;
         let below = open_below(setting, self.coarse, reused, &excess, ctx)?;

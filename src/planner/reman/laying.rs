@@ -8,7 +8,7 @@
 //! Guarantees: a block's voxels are carried, clear and connected when they are laid.
 
 use super::setting::Setting;
-use crate::access::{CarrierTable, Scene, nozzle_map, reachable};
+use crate::access::{CarrierTable, Scene, clear_closely, nozzle_map, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::{HoldingMode, Tool};
 use crate::plan::Job;
@@ -22,6 +22,9 @@ const SHORTER_TOOL_SHARE: f64 = 0.97;
 
 /// Ways laid closely for what the coarse grid does not show, those clear at most of it.
 const CLEAREST_WAYS: usize = 8;
+
+/// Voxels up to which exact distances are asked: with more, it is not half a voxel that is in the way.
+const MOST_CLOSELY: usize = 3000;
 
 /// A way to print: direction, holding and nozzle.
 #[derive(Clone, Copy)]
@@ -74,6 +77,8 @@ pub struct Layer<'s> {
     pub core: &'s BitGrid,
     /// Fixed points of each holding.
     pub fixed: &'s [Vec<DVec3>],
+    /// Whether nozzles are told clear by exact distances where little is left.
+    pub closely: bool,
 }
 
 impl Layer<'_> {
@@ -93,9 +98,8 @@ impl Layer<'_> {
 
     /// The few ways whose nozzles stand clear at most of what is left of the core.
     pub fn clearest<'a>(&self, ways: &[Way<'a>], ctx: &Ctx) -> Result<Vec<Way<'a>>, Cancelled> {
+        let scenes = self.scenes();
         let wanted = self.left.and(self.core);
-        let scenes: Vec<Scene> =
-            self.fixed.iter().map(|f| Scene::new(&self.job.frame, self.state, f)).collect();
         let clear: Vec<usize> = ways
             .par_iter()
             .map(|w| {
@@ -104,6 +108,28 @@ impl Layer<'_> {
             })
             .collect::<Result<_, Cancelled>>()?;
         Ok(descending(&clear).into_iter().take(CLEAREST_WAYS).map(|i| ways[i]).collect())
+    }
+
+    /// Where, of what is left of the core, the nozzle of any of the ways stands clear.
+    pub fn clear_along_any(&self, ways: &[Way], ctx: &Ctx) -> Result<BitGrid, Cancelled> {
+        let scenes = self.scenes();
+        let wanted = self.left.and(self.core);
+        let none = || BitGrid::new(self.state.dims());
+        let join = |mut any: BitGrid, clear: BitGrid| {
+            any.union_with(&clear);
+            Ok(any)
+        };
+        ways.par_iter()
+            .map(|w| {
+                ctx.check()?;
+                Ok(self.clear(*w, &scenes[w.holding], &wanted))
+            })
+            .try_reduce(none, join)
+    }
+
+    /// What is in the way, in each holding.
+    fn scenes(&self) -> Vec<Scene> {
+        self.fixed.iter().map(|f| Scene::new(&self.job.frame, self.state, f)).collect()
     }
 
     /// The block with the first of some shorter or coarser nozzles that lays nearly as much; with
@@ -129,7 +155,15 @@ impl Layer<'_> {
     fn clear(&self, way: Way, scene: &Scene, candidates: &BitGrid) -> BitGrid {
         let dip = self.job.rules.nozzle_dip_mm;
         let map = nozzle_map(scene, candidates, way.tool, way.direction, dip);
-        reachable(&map, candidates, &self.job.frame)
+        let mut clear = reachable(&map, candidates, &self.job.frame);
+        // Along the axes the maps are exact.
+        if self.closely && !way.direction.is_grid_axis() {
+            let others = candidates.minus(&clear);
+            if others.count() <= MOST_CLOSELY {
+                clear.union_with(&clear_closely(scene, &others, way.tool, way.direction, dip));
+            }
+        }
+        clear
     }
 
     /// All that one way lays, from below.

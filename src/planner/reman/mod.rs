@@ -50,7 +50,10 @@
 //!   little of what is to be printed (`hidden`).
 //! - With a second holding, planes that leave the part on its base are looked at beside all others:
 //!   deposits from straight above may then begin on the bare base.
+//! - What of the initial part hangs on nothing on the grid goes with a first cut (`loose`).
 //! - A cut that would free a piece it does not reach leaves a bridge to it (`bridges`).
+//! - Additive blocks have a least size, but where crumbs are all that is missing they get blocks of
+//!   their own, however small (`crumbs`).
 //! - Directions are ranked on a coarser grid (`coarse`), and the blocks made on the job's own.
 //!
 //! Guarantees: each step's voxels are accessible, carried and clear when the step is made, by the
@@ -62,6 +65,7 @@ mod candidates;
 mod clip;
 mod close;
 mod coarse;
+mod crumbs;
 mod compared;
 mod cutting;
 mod fewest;
@@ -76,6 +80,7 @@ mod local;
 #[cfg(test)]
 mod local_tests;
 mod locals;
+mod loose;
 mod pits;
 mod printed_first;
 mod printing;
@@ -92,7 +97,7 @@ mod supports_tests;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
-use crate::plan::{Job, Plan, StepKind, end_state};
+use crate::plan::{Job, Plan, Step, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::{PrintingBase, Volumes, printing_bases};
 pub use glance::glance;
@@ -102,12 +107,14 @@ use candidates::{Admissible, Element};
 use clip::Clip;
 use coarse::Coarse;
 use compared::{bottom_up, top_down};
+use crumbs::with_crumbs;
 use fewest::with_fewest_cuts;
 use finish::finished;
 use fitting::fitted;
 use global::{choose, global_route, most_promising};
 use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
+use loose::first_cut;
 use pits::with_pits;
 use printed_first::{Leaves, glimpse, printed_first};
 use report::Clock;
@@ -259,12 +266,33 @@ struct Run<'a> {
 /// Plans the job; what could not be reached is left for the verifier to measure.
 pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), PlanError> {
     check(job, options)?;
-    let setting = Setting::new(job);
-    let (first, mut report) = one_round(&setting, options, ctx)?;
+    let whole = Setting::new(job);
+    let (mut steps, report) = match first_cut(&whole, options, ctx)? {
+        None => all_rounds(&whole, Vec::new(), options, ctx)?,
+        Some(cut) => {
+            let initial = job.initial.minus(&cut.region);
+            let old = job.ideal_reuse().minus(&cut.region);
+            let rest = Job { initial, ..job.clone() };
+            all_rounds(&whole.of_next_round(&rest, old), vec![cut], options, ctx)?
+        }
+    };
+    let holdings = whole.numbered(&mut steps);
+    Ok((Plan { holdings, steps }, report))
+}
+
+/// The steps of all rounds after those of `before`.
+fn all_rounds(
+    setting: &Setting,
+    before: Vec<Step>,
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<(Vec<Step>, Report), PlanError> {
+    let job = setting.job;
+    let (first, mut report) = one_round(setting, options, ctx)?;
     let mut left = first.residual();
     let mut worth = first.worth(job);
     let mut standing = first.standing(job, first.volumes.reused.count());
-    let mut reasons = first.reasons(&setting);
+    let mut reasons = first.reasons(setting);
     let mut steps = first.steps;
     for round in 2..=options.rounds {
         if left == 0 || ctx.out_of_time() {
@@ -294,17 +322,20 @@ pub fn plan(job: &Job, options: &Options, ctx: &Ctx) -> Result<(Plan, Report), P
             "Round {round} of cuts and deposits gives up another {:.1} mm³ of the initial part.",
             lost as f64 * job.frame.voxel_volume()
         ));
-        let of_kind = |kind| steps.iter().filter(|s| s.kind == kind).count();
-        let [cuts, deposits] = [StepKind::Subtractive, StepKind::Additive].map(of_kind);
-        steps.extend(made.steps.into_iter().map(|mut s| {
-            s.block += if s.kind == StepKind::Subtractive { cuts } else { deposits };
-            s
-        }));
+        steps = followed(steps, made.steps);
     }
     report.notes.extend(reasons);
     report.standing = standing;
-    let holdings = setting.numbered(&mut steps);
-    Ok((Plan { holdings, steps }, report))
+    Ok((followed(before, steps), report))
+}
+
+/// Steps and those after them, whose blocks are numbered on.
+fn followed(mut steps: Vec<Step>, after: Vec<Step>) -> Vec<Step> {
+    let of_kind = |kind| steps.iter().filter(|s| s.kind == kind).count();
+    let [cuts, deposits] = [StepKind::Subtractive, StepKind::Additive].map(of_kind);
+    let first = |kind| if kind == StepKind::Subtractive { cuts } else { deposits };
+    steps.extend(after.into_iter().map(|s| Step { block: first(s.kind) + s.block, ..s }));
+    steps
 }
 
 /// The printing bases, and what follows from them.
@@ -386,6 +417,7 @@ fn one_round(
         best = finished(&mut run, best)?;
     }
     best = with_pits(&mut run, best)?;
+    best = with_crumbs(&mut run, best)?;
     if options.finish_mm == 0.0
         && let Some(made) = keeping_more(&mut run, &best)?
     {

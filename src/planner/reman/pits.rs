@@ -27,13 +27,13 @@
 
 use super::cutting::cut_along;
 use super::laying::{Way, ways_along};
-use super::printing::{Wanted, print_blocks};
+use super::printing::{Wanted, leaves_none, print_blocks, print_crumbs};
 use super::round::Attempt;
 use super::setting::Setting;
-use super::{Run, Start};
+use super::{Run, Start, followed};
 use crate::access::CarrierTable;
 use crate::base::{Ctx, DVec2, DVec3, Direction};
-use crate::plan::{Job, Plan, Step, StepKind, end_state};
+use crate::plan::{Job, Plan, end_state};
 use crate::planner::PlanError;
 use crate::region::Volumes;
 use crate::voxel::{BitGrid, Connectivity, components, flood};
@@ -59,7 +59,7 @@ const PRINTED_WEIGHT: f64 = 0.1;
 
 /// A plan that leaves more than so many times what the rules allow gets no pits: they would not make it
 /// valid.
-const WITHIN: f64 = 1.5;
+const WITHIN: f64 = 2.5;
 
 /// Tries in vain, one after the other, before an end.
 const PATIENCE: usize = 8;
@@ -586,15 +586,11 @@ impl<'s, 'a> Digging<'s, 'a> {
             at_a_glance: false,
         };
         let printing = print_blocks(&next, coarse, &wanted, &[], ctx)?;
+        let printing = print_crumbs(&next, coarse, &wanted, printing, leaves_none, ctx)?;
         if printing.steps.is_empty() {
             return Ok(None);
         }
-        let mut steps = now.steps.clone();
-        let of_kind = |kind| now.steps.iter().filter(|s| s.kind == kind).count();
-        let (cuts, deposits) = (of_kind(StepKind::Subtractive), of_kind(StepKind::Additive));
-        let numbered = |first: usize| move |s: Step| Step { block: first + s.block, ..s };
-        steps.extend(cutting.steps.into_iter().map(numbered(cuts)));
-        steps.extend(printing.steps.into_iter().map(numbered(deposits)));
+        let steps = followed(followed(now.steps.clone(), cutting.steps), printing.steps);
         let left = job.target.minus(&printing.state);
         let deficit = setting.beyond_skin(&left, &volumes.reused);
         Ok(Some(Attempt {

@@ -5,7 +5,9 @@
 //! on the job's own (`laying`). A large block may close in on what is left: on the slope where it
 //! ends, the first layers of the next block fit no direction. So shares can be left free: what
 //! lies over a plane across the direction of a later block. All else is printed first, and that
-//! block then begins on a clean plane with nothing over it.
+//! block then begins on a clean plane with nothing over it. Blocks have a least size, since a change of
+//! direction for a crumb helps nobody; but where crumbs are all that is missing in the end, they get blocks
+//! as small as they are (`print_crumbs`).
 //!
 //! Guarantees: each block's voxels are carried, clear and connected when they are laid. Not
 //! guaranteed: that every voxel finds its turn; what no block reaches is returned.
@@ -18,7 +20,7 @@ use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
 use crate::plan::{Origin, Plane, Step, StepKind};
 use crate::region::above;
-use crate::voxel::{BitGrid, Connectivity, Frame, flood};
+use crate::voxel::{BitGrid, Connectivity, Frame, distance_within, flood};
 
 /// The additive steps, the state they leave, what of V_A they could not add, and what they added
 /// beside it to carry it.
@@ -29,6 +31,15 @@ pub struct Printing {
     pub unreached: BitGrid,
     /// What each block would have had, had all before it left that free.
     pub shares: Vec<Share>,
+    /// The holding in use and its fixed points: it stays as it began until another takes its place.
+    held: Option<(usize, Vec<DVec3>)>,
+}
+
+impl Printing {
+    /// Nothing printed yet: what stands, and what is missing.
+    pub fn before_any(state: BitGrid, missing: BitGrid) -> Printing {
+        Printing { steps: Vec::new(), state, unreached: missing, shares: Vec::new(), held: None }
+    }
 }
 
 /// What is to be printed.
@@ -74,6 +85,14 @@ const LEAST_AHEAD_MM3: f64 = 0.8;
 /// like it would leave half.
 const LITTLE_SHARE: f64 = 0.1;
 
+/// Share of the target that may be missing for blocks as small as what is missing; of small parts
+/// no more than so many blocks of the usual least size.
+const MOST_CRUMBS: f64 = 1e-3;
+const FEW_BLOCKS: f64 = 4.0;
+
+/// With a crumb, all that is missing so far around it is printed, mm: a bead or two.
+const WITH_CRUMB_MM: f64 = 1.5;
+
 /// Ways that are looked at closely after the coarse ranking, of the preferred and of the sampled
 /// ones: more costs time, fewer trusts a staircase of coarse voxels too much.
 const FINALISTS: usize = 3;
@@ -94,6 +113,43 @@ pub fn print_blocks(
     }
     press.print_among(wanted.added, ctx)?;
     Ok(press.printing)
+}
+
+/// What was printed, and after it what little is missing, in blocks however small, if `enough` of it has its turn:
+/// told from how many voxels of the core are missing before and after.
+pub fn print_crumbs(
+    setting: &Setting,
+    coarse: &Coarse,
+    wanted: &Wanted,
+    printing: Printing,
+    enough: impl Fn(usize, usize) -> bool,
+    ctx: &Ctx,
+) -> Result<Printing, Cancelled> {
+    let missing = printing.unreached.and(wanted.core);
+    let before = missing.count();
+    let share = MOST_CRUMBS * setting.job.target.count() as f64;
+    let most = share.max(FEW_BLOCKS * LEAST_MM3 / setting.job.frame.voxel_volume());
+    if before == 0 || before as f64 > most || wanted.at_a_glance {
+        return Ok(printing);
+    }
+    let Some(mut press) = Press::new(setting, coarse, wanted) else { return Ok(printing) };
+    (press.printing, press.closely) = (printing.clone(), true);
+    let near = distance_within(&missing, WITH_CRUMB_MM / setting.job.frame.pitch);
+    let ways: Vec<Way> = press.preferred.iter().chain(&press.sampled).copied().collect();
+    let fixed = press.fixed();
+    // Deposits take room from nozzles and never give any.
+    let hopeless = before - press.fine(&missing, &fixed).clear_along_any(&ways, ctx)?.count();
+    if enough(before, hopeless) {
+        press.print_small(&near, &ways, ctx)?;
+    }
+    let after = press.printing.unreached.count_and(wanted.core);
+    tracing::debug!(before, hopeless, after, "crumbs");
+    Ok(if enough(before, after) { press.printing } else { printing })
+}
+
+/// Whether crumbs are printed for the sake of leaving nothing.
+pub fn leaves_none(_before: usize, after: usize) -> bool {
+    after == 0
 }
 
 /// The same, but first what is to be printed ahead of all else, then all that goes along one
@@ -165,12 +221,7 @@ pub struct OnSupports<'o> {
 
 impl Wanted<'_> {
     fn unprinted(&self) -> Printing {
-        Printing {
-            steps: Vec::new(),
-            state: self.state.clone(),
-            unreached: self.added.clone(),
-            shares: Vec::new(),
-        }
+        Printing::before_any(self.state.clone(), self.added.clone())
     }
 }
 
@@ -186,8 +237,8 @@ struct Press<'s, 'a> {
     /// Voxels of the core that a block lays at least.
     least: usize,
     printing: Printing,
-    /// The holding in use and its fixed points: it stays as it began until another takes its place.
-    held: Option<(usize, Vec<DVec3>)>,
+    /// See [`Layer::closely`].
+    closely: bool,
 }
 
 impl<'s, 'a> Press<'s, 'a> {
@@ -209,7 +260,7 @@ impl<'s, 'a> Press<'s, 'a> {
             shorter,
             least: share.max(LEAST_MM3 / setting.job.frame.voxel_volume()).ceil() as usize,
             printing: wanted.unprinted(),
-            held: None,
+            closely: false,
         })
     }
 }
@@ -258,6 +309,23 @@ impl<'a> Press<'_, 'a> {
         self.print_among(&self.wanted.added.and(ahead), ctx)?;
         self.least = usual;
         Ok(())
+    }
+
+    /// Blocks of any size among some of what is wanted.
+    fn print_small(
+        &mut self,
+        some: &BitGrid,
+        ways: &[Way<'a>],
+        ctx: &Ctx,
+    ) -> Result<(), Cancelled> {
+        loop {
+            let left = self.printing.unreached.and(some);
+            let fixed = self.fixed();
+            let fine = self.fine(&left, &fixed);
+            let Some(block) = fine.best(&fine.clearest(ways, ctx)?, ctx)? else { return Ok(()) };
+            let block = fine.with_shorter(block, self.shorter);
+            self.take(block, left, fixed);
+        }
     }
 
     fn print_shares(&mut self, shares: &[Share], ctx: &Ctx) -> Result<(), Cancelled> {
@@ -310,6 +378,7 @@ impl<'a> Press<'_, 'a> {
             left: &left_there,
             core: &self.core,
             fixed,
+            closely: false,
         };
         let ranked = quick.ranked(ways, ctx)?;
         let some: Vec<Way<'a>> = ranked.into_iter().take(FINALISTS).map(|i| ways[i]).collect();
@@ -323,13 +392,14 @@ impl<'a> Press<'_, 'a> {
             left,
             core: self.wanted.core,
             fixed,
+            closely: self.closely,
         }
     }
 
     /// Fixed points of every holding, were it to begin or go on now.
     fn fixed(&self) -> Vec<Vec<DVec3>> {
         (0..self.setting.holdings.len())
-            .map(|h| match &self.held {
+            .map(|h| match &self.printing.held {
                 Some((now, fixed)) if *now == h => fixed.clone(),
                 _ => self.setting.fixed(h, &self.printing.state),
             })
@@ -359,8 +429,8 @@ impl<'a> Press<'_, 'a> {
     /// Lays a block.
     fn put(&mut self, block: Block, fixed: Vec<Vec<DVec3>>) {
         let holding = block.way.holding;
-        self.held = Some((holding, fixed.into_iter().nth(holding).unwrap_or_default()));
         let printing = &mut self.printing;
+        printing.held = Some((holding, fixed.into_iter().nth(holding).unwrap_or_default()));
         printing.state.union_with(&block.region);
         printing.unreached.subtract(&block.region);
         tracing::debug!(

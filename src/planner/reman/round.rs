@@ -3,7 +3,7 @@
 use super::clip::Clip;
 use super::coarse::Coarse;
 use super::cutting::{Cuts, cut_blocks};
-use super::printing::{Printing, Share, Wanted, print_blocks};
+use super::printing::{Printing, Share, Wanted, leaves_none, print_blocks, print_crumbs};
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Standing, Start};
@@ -198,7 +198,8 @@ pub fn along(clips: &[Clip], preferred: &[Direction]) -> Vec<Direction> {
 }
 
 /// Prints, the largest block first; while that leaves a little, once more with the space of some
-/// later block left free from the beginning, and so on with the best of these.
+/// later block left free from the beginning, and so on with the best of these; what little that leaves in the
+/// end, in blocks however small.
 pub fn printed(
     setting: &Setting,
     coarse: &Coarse,
@@ -236,6 +237,9 @@ pub fn printed(
             }
         }
         break;
+    }
+    if mending == Mending::Some {
+        best = print_crumbs(setting, coarse, wanted, best, leaves_none, ctx)?;
     }
     Ok(best)
 }
