@@ -38,6 +38,11 @@ const SURFACE_POINTS: usize = 20_000;
 /// come and go with the grid, and the lowest of them would decide how low the bases lie.
 const STRAY_SQUARES: f64 = 4.0;
 
+/// A part is held by a contact as wide as this share of the edge of a cube of the target's volume, through the grip's
+/// height. On tiptoe a voxel or two of another grid would do: a plan on its own grid then finds nothing held and
+/// gives up all.
+const HOLD_SHARE: f64 = 0.1;
+
 /// A solid on a grid in its own axes.
 pub(super) struct Lattice {
     frame: Frame,
@@ -100,6 +105,8 @@ pub(super) struct Pair {
     target_area: f64,
     /// Height within which the part counts as held on the sampling grid, mm.
     pub grip_mm: f64,
+    /// Least volume within it that holds the part, mm³.
+    hold_mm3: f64,
     holding: HoldingMode,
 }
 
@@ -127,16 +134,20 @@ impl Pair {
         let pitch = sampling_pitch(target);
         let fine = fine_pitch(target.bounds(), pitch);
         let (surface, point_area) = surface_points(initial);
+        let coarse = Lattice::new(target, pitch, "target", ctx)?;
+        let grip_mm = options.grip_mm.max(tolerance::grip_mm(pitch));
+        let side_mm = (coarse.voxels as f64).cbrt() * pitch;
         let outward = if target.signed_volume() < 0.0 { -0.5 } else { 0.5 };
         Ok(Pair {
             initial: Lattice::new(initial, fine_pitch(initial.bounds(), pitch), "initial", ctx)?,
-            coarse: Lattice::new(target, pitch, "target", ctx)?,
+            coarse,
             fine: Lattice::new(target, fine, "target", ctx)?,
             surface,
             point_area,
             faces: (0..target.triangles().len()).map(|t| outward * target.area_normal(t)).collect(),
             target_area: target.area(),
-            grip_mm: options.grip_mm.max(tolerance::grip_mm(pitch)),
+            grip_mm,
+            hold_mm3: grip_mm * (HOLD_SHARE * side_mm).powi(2),
             holding: options.holding,
         })
     }
@@ -195,6 +206,9 @@ impl Pair {
             }
         }
         match self.holding {
+            HoldingMode::Base if (contact.count() as f64) * h.powi(3) < self.hold_mm3 => {
+                BitGrid::new(lattice.solid.dims())
+            }
             HoldingMode::Base => flood(&reused, &contact, Connectivity::Edge18),
             HoldingMode::Refixture => {
                 steady(&reused, &lattice.frame, HoldingMode::Refixture, self.grip_mm)
@@ -302,6 +316,23 @@ mod tests {
         assert_eq!((m.share, m.base_share, m.lowest_mm), (0.0, 0.0, None));
         let lowered = pair.measure(Sampling::Coarse, &raised.inverse());
         assert!((lowered.share - 0.5).abs() < 0.03);
+    }
+
+    /// A cube of 20 mm in a deep block, on its foot and on a corner, whose tip of 2 mm holds 7 mm³.
+    #[test]
+    fn what_a_tip_alone_holds_is_not_reused() {
+        let (initial, target) = (block(80.0, 80.0, 80.0), block(20.0, 20.0, 20.0));
+        let pair = pair(&initial, &target);
+        let middle = DAffine3::from_translation(DVec3::new(40.0, 40.0, 0.0));
+        let m = pair.measure(Sampling::Coarse, &middle);
+        assert!(m.share > 0.97, "{m:?}");
+        let up = DVec3::ONE.normalize();
+        let tiptoe = middle * DAffine3::from_quat(glam::DQuat::from_rotation_arc(up, DVec3::Z));
+        for (sunk, held) in [(0.0, false), (2.0, true)] {
+            let place = DAffine3::from_translation(DVec3::Z * -sunk) * tiptoe;
+            let m = pair.measure(Sampling::Coarse, &place);
+            assert_eq!(m.share > 0.9, held, "{m:?}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //!
 //! | symbol | here | meaning |
 //! |---|---|---|
-//! | Ṽ_R | `kept` | M ∩ M*, less the pieces that nothing would hold |
+//! | Ṽ_R | `kept` | M ∩ M*, less the pieces that nothing would hold, or the tip of one |
 //! | T | [`Candidate::score_coarse`] | faces of M* with n · d_v ≥ −sin 50°, d_v = +z |
 //! | B | `interface` | what of Ṽ_R's surface material is added on: the initial printing bases |
 //! | Min_B, Max_V | `lowest_mm`, `top_mm` | lowest point of B, highest of Ṽ_R, over the base plane |

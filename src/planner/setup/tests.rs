@@ -212,7 +212,7 @@ proptest! {
     }
 }
 
-/// A block on a stub. Standing on the stub, next to nothing of a block-like target is inside; on the
+/// A block on a stub. Standing on the stub, a block-like target is two thirds inside, on a corner in the stub; on the
 /// block's own face all of it is.
 #[test]
 fn the_initial_part_is_laid_on_the_face_where_most_is_reused() {
@@ -224,7 +224,7 @@ fn the_initial_part_is_laid_on_the_face_where_most_is_reused() {
     let options = SetupOptions { rotations: 10, carried: 2, ..SetupOptions::default() };
     let kept = search(&stub, &target, &options, &Ctx::quiet()).unwrap();
     let posed = search_poses(&stub, &target, &options, &Ctx::quiet()).unwrap();
-    assert!(kept.winner.reused_share < 0.6, "{kept:?}");
+    assert!(kept.winner.reused_share < 0.7, "{kept:?}");
     assert!(posed.report.winner.reused_share > 0.99, "{posed:?}");
     assert!(posed.pose > 0 && posed.poses > 1 && posed.note().contains("another face"));
     let lain = stub.transformed(&posed.initial).unwrap();
