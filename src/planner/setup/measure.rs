@@ -43,6 +43,9 @@ const STRAY_SQUARES: f64 = 4.0;
 /// gives up all.
 const HOLD_SHARE: f64 = 0.1;
 
+/// Where the initial part itself stands on less, this share of its contact is enough.
+const CONTACT_SHARE: f64 = 0.5;
+
 /// A solid on a grid in its own axes.
 pub(super) struct Lattice {
     frame: Frame,
@@ -62,6 +65,15 @@ impl Lattice {
         let solid = voxelise(mesh, &frame, ctx)?;
         let voxels = solid.count();
         if voxels == 0 { Err(thin()) } else { Ok(Lattice { frame, solid, voxels }) }
+    }
+
+    /// Volume up to a height, mm³.
+    fn contact_mm3(&self, height_mm: f64) -> f64 {
+        let frame = &self.frame;
+        let is_low = |z: &usize| frame.center([0, 0, *z]).z <= height_mm;
+        let layers = (0..frame.dims[2]).take_while(is_low).count();
+        let rows = self.solid.runs().filter(|(_, z, _, _)| *z < layers);
+        rows.map(|(_, _, _, len)| len as f64).sum::<f64>() * frame.voxel_volume()
     }
 
     fn holds(&self, grid: &BitGrid, p: DVec3) -> bool {
@@ -137,9 +149,11 @@ impl Pair {
         let coarse = Lattice::new(target, pitch, "target", ctx)?;
         let grip_mm = options.grip_mm.max(tolerance::grip_mm(pitch));
         let side_mm = (coarse.voxels as f64).cbrt() * pitch;
+        let lattice = Lattice::new(initial, fine_pitch(initial.bounds(), pitch), "initial", ctx)?;
+        let contact_mm3 = lattice.contact_mm3(grip_mm);
         let outward = if target.signed_volume() < 0.0 { -0.5 } else { 0.5 };
         Ok(Pair {
-            initial: Lattice::new(initial, fine_pitch(initial.bounds(), pitch), "initial", ctx)?,
+            initial: lattice,
             coarse,
             fine: Lattice::new(target, fine, "target", ctx)?,
             surface,
@@ -147,7 +161,7 @@ impl Pair {
             faces: (0..target.triangles().len()).map(|t| outward * target.area_normal(t)).collect(),
             target_area: target.area(),
             grip_mm,
-            hold_mm3: grip_mm * (HOLD_SHARE * side_mm).powi(2),
+            hold_mm3: (grip_mm * (HOLD_SHARE * side_mm).powi(2)).min(CONTACT_SHARE * contact_mm3),
             holding: options.holding,
         })
     }
@@ -333,6 +347,15 @@ mod tests {
             let m = pair.measure(Sampling::Coarse, &place);
             assert_eq!(m.share > 0.9, held, "{m:?}");
         }
+    }
+
+    /// Both on the same corner: the whole of a small contact holds.
+    #[test]
+    fn a_tip_holds_where_the_initial_part_stands_on_no_more() {
+        let up = glam::DQuat::from_rotation_arc(DVec3::ONE.normalize(), DVec3::Z);
+        let cube = block(20.0, 20.0, 20.0).transformed(&DAffine3::from_quat(up)).unwrap();
+        let m = pair(&cube, &cube).measure(Sampling::Coarse, &DAffine3::IDENTITY);
+        assert!(m.share > 0.97, "{m:?}");
     }
 
     #[test]
