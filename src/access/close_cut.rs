@@ -136,8 +136,12 @@ struct Tip {
 /// Few voxels in a state, and what may be removed around them.
 pub struct Close<'a> {
     frame: &'a Frame,
-    /// Obstacles that stay, mm.
-    hard: Vec<DVec3>,
+    /// Voxels that stay. Between the centres of those at its surface a tool finer than the grid may pass and meet an
+    /// inner one; along a grid axis it does not.
+    stays: BitGrid,
+    shell: BitGrid,
+    /// Obstacles that are no voxels, mm.
+    fixed: &'a [DVec3],
     /// What may be removed.
     soft: Vec<[usize; 3]>,
     few: &'a BitGrid,
@@ -148,12 +152,12 @@ impl<'a> Close<'a> {
         frame: &'a Frame,
         state: &BitGrid,
         (removable, few): (&BitGrid, &'a BitGrid),
-        fixed: &[DVec3],
+        fixed: &'a [DVec3],
     ) -> Self {
-        let stays = state.minus(removable).boundary();
-        let hard = stays.iter_ones().map(|v| frame.center(v)).chain(fixed.iter().copied());
+        let stays = state.minus(removable);
+        let shell = stays.boundary();
         let soft = removable.and(state).iter_ones().collect();
-        Close { frame, hard: hard.collect(), soft, few }
+        Close { frame, stays, shell, fixed, soft, few }
     }
 
     /// A region of what may be removed that the tool removes along `direction`, each voxel of it
@@ -192,7 +196,9 @@ impl<'a> Close<'a> {
             let at = plane.across(*p);
             plane.height(*p) > floor && at.cmpge(least).all() && at.cmple(most).all()
         };
-        let points = self.hard.iter().filter(|p| is_met(p)).map(|p| spot_at(*p));
+        let stays = if direction.is_grid_axis() { &self.shell } else { &self.stays };
+        let voxels = stays.iter_ones().map(|v| frame.center(v));
+        let points = voxels.chain(self.fixed.iter().copied()).filter(is_met).map(spot_at);
         let hard = Squares::new(points.collect(), spacing);
         let rings = rings(wide);
         let of_tip = |t: &[i64; 2]| {
@@ -312,6 +318,26 @@ mod tests {
                 standing.iter().all(|(o, h)| *h <= low + tool.lower_surface(t.distance(*o)) + 1e-6)
             })
         })
+    }
+
+    /// A voxel buried in a block: a needle passes between the centres of the block's surface, and meets those below.
+    #[test]
+    fn a_tool_finer_than_the_grid_does_not_pass_through_a_solid() {
+        let needle = Shape::Frustum { z0: 0.0, r0: 0.1, z1: 30.0, r1: 0.1 };
+        let sections = vec![Section { shape: needle, active: true }];
+        let tool = Tool::new("needle", ToolKind::Subtractive, sections);
+        let state = BitGrid::from_fn(FRAME.dims, |v| v[2] < 36);
+        let few = BitGrid::from_fn(FRAME.dims, |v| v == [22, 12, 26]);
+        let close = Close::new(&FRAME, &state, (&few, &few), &[]);
+        let mut shallow = 0;
+        for d in crate::base::fibonacci_sphere(60).into_iter().filter(|d| d.vec().z > 0.3) {
+            let region = close.cut(&tool, d);
+            assert!(is_allowed(&state, &region, &tool, d), "{d:?}");
+            // What the surface alone lets by.
+            let shell = state.minus(&few).boundary().or(&few);
+            shallow += Close::new(&FRAME, &shell, (&few, &few), &[]).cut(&tool, d).count();
+        }
+        assert!(shallow > 0);
     }
 
     /// Leaning grooves a little wider than the cutter, down to a round bottom.

@@ -12,24 +12,23 @@
 //! calls clear is so here. Not guaranteed: speed; each pair of a voxel that is clear and a direction costs a look at
 //! all obstacles.
 
-use super::Scene;
 use crate::base::{DVec3, Direction};
 use crate::machine::{Shape, Tool};
-use crate::voxel::BitGrid;
+use crate::voxel::{BitGrid, Frame};
 
 /// Obstacles up to so many voxels away along each axis are looked at first.
 const NEAR: i64 = 4;
 
-/// Of `few` the voxels at which a nozzle stands clear of a scene along a direction. Sections that reach the tip may stand
-/// `dip_mm` lower than the obstacles allow.
+/// Of `few` the voxels at which a nozzle stands clear of a solid and of fixed points along a direction. Sections that reach
+/// the tip may stand `dip_mm` lower than the obstacles allow.
 pub fn clear_closely(
-    scene: &Scene,
+    frame: &Frame,
+    (solid, fixed): (&BitGrid, &[DVec3]),
     few: &BitGrid,
     tool: &Tool,
     direction: Direction,
     dip_mm: f64,
 ) -> BitGrid {
-    let frame = &scene.frame;
     let sections: Vec<(Shape, f64)> = tool
         .sections
         .iter()
@@ -59,12 +58,13 @@ pub fn clear_closely(
     };
     let is_open_nearby = |v: &[usize; 3]| {
         let at = |o: [i64; 3]| std::array::from_fn(|a| v[a] as i64 + o[a]);
-        !near.iter().any(|(o, _)| scene.voxels().get_or_empty(at(*o)))
+        !near.iter().any(|(o, _)| solid.get_or_empty(at(*o)))
     };
     let mut open: Vec<([usize; 3], DVec3)> =
         few.iter_ones().filter(is_open_nearby).map(|v| (v, frame.center(v))).collect();
     if !open.is_empty() {
-        for p in scene.points() {
+        // Inner voxels too: a needle may pass between those at the surface.
+        for p in solid.iter_ones().map(|v| frame.center(v)).chain(fixed.iter().copied()) {
             open.retain(|(_, tip)| !is_met(p - *tip));
         }
     }
@@ -76,10 +76,9 @@ pub fn clear_closely(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::access::{nozzle_map, reachable};
+    use crate::access::{Scene, nozzle_map, reachable};
     use crate::base::fibonacci_sphere;
     use crate::machine::{Section, ToolKind};
-    use crate::voxel::Frame;
 
     const FRAME: Frame = Frame { pitch: 0.5, dims: [30, 26, 24], origin: DVec3::ZERO };
 
@@ -115,7 +114,7 @@ mod tests {
         let air = BitGrid::from_fn(FRAME.dims, |v| !state.get(v) && v[0] % 2 == v[2] % 2);
         let mut more = 0;
         for d in fibonacci_sphere(24).into_iter().chain([Direction::Z, Direction::X]) {
-            let clear = clear_closely(&scene, &air, &tool, d, dip);
+            let clear = clear_closely(&FRAME, (&state, &fixed), &air, &tool, d, dip);
             let plane = d.image_plane();
             let is_clear = |v: [usize; 3]| {
                 let (tip, z) = (plane.across(FRAME.center(v)), plane.height(FRAME.center(v)));

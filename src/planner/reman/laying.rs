@@ -160,7 +160,9 @@ impl Layer<'_> {
         if self.closely && !way.direction.is_grid_axis() {
             let others = candidates.minus(&clear);
             if others.count() <= MOST_CLOSELY {
-                clear.union_with(&clear_closely(scene, &others, way.tool, way.direction, dip));
+                let solid = (self.state, scene.fixed());
+                let (frame, d) = (&self.job.frame, way.direction);
+                clear.union_with(&clear_closely(frame, solid, &others, way.tool, d, dip));
             }
         }
         clear
