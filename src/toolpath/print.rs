@@ -135,12 +135,12 @@ pub(super) fn print(work: &Work, process: &Printing) -> Result<Printed, Cancelle
     let piece = Piece::new(work, lattice, &plane);
     let high = piece.top(high, lo, hi).unwrap_or(high);
     let slabs = slabs(low, high, process);
-    let sections = Sections::new(&slabs, process, |z| piece.outline(z));
+    let mut sections = Sections::new(&slabs, process, |z| piece.outline(z));
     let mut layers = sections.layers(&slabs, process);
     if layers.iter().all(Layer::is_bare) {
         // A speck of which the meshes leave nothing as wide as a bead: the plan has it all the same.
-        let coarse = Sections::new(&slabs, process, |z| piece.coarse(z));
-        layers = coarse.layers(&slabs, process);
+        sections = Sections::new(&slabs, process, |z| piece.coarse(z));
+        layers = sections.layers(&slabs, process);
     }
     let voxels = work.step.region.count();
     let is_too_much = |layers: &[Layer]| match voxels <= FEW {
