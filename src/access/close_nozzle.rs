@@ -12,8 +12,9 @@
 //! calls clear is so here. Not guaranteed: speed; each pair of a voxel that is clear and a direction costs a look at
 //! all obstacles.
 
+use super::depth::dipped;
 use crate::base::{DVec3, Direction};
-use crate::machine::{Shape, Tool};
+use crate::machine::Tool;
 use crate::voxel::{BitGrid, Frame};
 
 /// Obstacles up to so many voxels away along each axis are looked at first.
@@ -29,11 +30,7 @@ pub fn clear_closely(
     direction: Direction,
     dip_mm: f64,
 ) -> BitGrid {
-    let sections: Vec<(Shape, f64)> = tool
-        .sections
-        .iter()
-        .map(|s| (s.shape, if s.shape.lower_surface(0.0) == 0.0 { dip_mm } else { 0.0 }))
-        .collect();
+    let sections = dipped(tool, dip_mm);
     let d = direction.vec();
     // An obstacle that far from the tip.
     let is_met = |from_tip: DVec3| {
@@ -42,23 +39,16 @@ pub fn clear_closely(
             return false;
         }
         let aside = from_tip.cross(d).length();
-        sections.iter().any(|(shape, lift)| over > shape.lower_surface(aside) + lift)
+        sections.iter().any(|(s, lift)| over > s.shape.lower_surface(aside) + lift)
     };
-    let near: Vec<([i64; 3], DVec3)> = {
-        let side = 2 * NEAR + 1;
-        let offset = |i: i64| [i % side, i / side % side, i / (side * side)].map(|c| c - NEAR);
-        let from_tip = |o: [i64; 3]| DVec3::from_array(o.map(|c| c as f64)) * frame.pitch;
-        let mut all: Vec<_> = (0..side.pow(3))
-            .map(offset)
-            .map(|o| (o, from_tip(o)))
-            .filter(|(_, p)| is_met(*p))
-            .collect();
-        all.sort_by(|a, b| a.1.length_squared().total_cmp(&b.1.length_squared()));
-        all
-    };
+    let side = 2 * NEAR + 1;
+    let offset = |i: i64| [i % side, i / side % side, i / (side * side)].map(|c| c - NEAR);
+    let at = |o: &[i64; 3]| DVec3::from_array(o.map(|c| c as f64)) * frame.pitch;
+    let mut near: Vec<[i64; 3]> = (0..side.pow(3)).map(offset).filter(|o| is_met(at(o))).collect();
+    near.sort_by_key(|o| o.iter().map(|c| c * c).sum::<i64>());
     let is_open_nearby = |v: &[usize; 3]| {
-        let at = |o: [i64; 3]| std::array::from_fn(|a| v[a] as i64 + o[a]);
-        !near.iter().any(|(o, _)| solid.get_or_empty(at(*o)))
+        let beside = |o: &[i64; 3]| std::array::from_fn(|a| v[a] as i64 + o[a]);
+        !near.iter().any(|o| solid.get_or_empty(beside(o)))
     };
     let mut open: Vec<([usize; 3], DVec3)> =
         few.iter_ones().filter(is_open_nearby).map(|v| (v, frame.center(v))).collect();
@@ -78,7 +68,7 @@ mod tests {
     use super::*;
     use crate::access::{Scene, nozzle_map, reachable};
     use crate::base::fibonacci_sphere;
-    use crate::machine::{Section, ToolKind};
+    use crate::machine::{Section, Shape, ToolKind};
 
     const FRAME: Frame = Frame { pitch: 0.5, dims: [30, 26, 24], origin: DVec3::ZERO };
 

@@ -124,14 +124,17 @@ pub fn nozzle_map(
     nozzle_map_in(view, tool, direction, dip_mm)
 }
 
+/// A nozzle's sections, each with how much lower than the obstacles allow it may stand, mm: those that
+/// reach the tip.
+pub(super) fn dipped(tool: &Tool, dip_mm: f64) -> Vec<(Section, f64)> {
+    let dip = |s: &Section| if s.shape.lower_surface(0.0) == 0.0 { dip_mm } else { 0.0 };
+    tool.sections.iter().map(|s| (*s, dip(s))).collect()
+}
+
 fn nozzle_map_in(mut view: View, tool: &Tool, direction: Direction, dip_mm: f64) -> DepthMap {
     // Here the tip too is anywhere in its cell.
     let rounding = 2.0 * rounding_cells(direction);
-    let sections: Vec<(Section, f64)> = tool
-        .sections
-        .iter()
-        .map(|sec| (*sec, if sec.shape.lower_surface(0.0) == 0.0 { dip_mm } else { 0.0 }))
-        .collect();
+    let sections = dipped(tool, dip_mm);
     let lattice = view.window();
     view.look_for(std::slice::from_ref(tool));
     let under = view.under(&lattice, tool.lower_surface(0.0) + dip_mm);

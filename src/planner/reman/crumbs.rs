@@ -11,15 +11,11 @@
 use super::printing::{Printing, Wanted, print_crumbs};
 use super::round::{Attempt, along};
 use super::{Run, followed};
-use crate::plan::{Job, Plan, end_state};
+use crate::plan::Job;
 use crate::planner::PlanError;
-use crate::voxel::distance_within;
 
 /// Directions are so much denser than those of other blocks: a crevice is open to few of them.
 const DENSER: usize = 4;
-
-/// How far around a crumb what else is missing is printed with it, voxels.
-const AROUND: f64 = 6.0;
 
 /// Of so many voxels before, so few may be missing after.
 fn no_more_than_half(before: usize, after: usize) -> bool {
@@ -33,19 +29,19 @@ pub fn with_crumbs(run: &mut Run, best: Attempt) -> Result<Attempt, PlanError> {
     }
     let setting = run.start.setting.with_last_resort();
     let job = setting.job;
-    let state = end_state(job, &Plan { holdings: Vec::new(), steps: best.steps.clone() }).state;
+    let state = best.end(job);
     let next_job = Job { initial: state.clone(), ..job.clone() };
     let next = setting.of_next_round(&next_job, setting.old_of(&best.volumes.reused));
     let missing = job.target.minus(&state);
     let wanted = Wanted {
         state: &state,
-        added: &missing.and(&distance_within(&best.deficit, AROUND)),
+        added: &missing,
         core: &best.deficit,
         preferred: &along(&best.clips, &run.start.preferred),
         samples: DENSER * run.options.directions,
         at_a_glance: false,
     };
-    let none = Printing::before_any(state.clone(), wanted.added.clone());
+    let none = Printing::before_any(state.clone(), missing.clone());
     let coarse = run.start.coarse;
     let printing = print_crumbs(&next, coarse, &wanted, none, no_more_than_half, run.ctx)?;
     run.clock.lap("blocks");
@@ -65,28 +61,18 @@ impl Attempt {
 mod tests {
     use super::super::Options;
     use super::super::coarse::Coarse;
-    use super::super::local_tests::job_of;
+    use super::super::local_tests::{block, block_job};
     use super::super::plan;
     use super::super::printing::{leaves_none, print_blocks};
     use super::super::setting::Setting;
     use super::*;
-    use crate::base::{Ctx, DVec3, Direction};
+    use crate::base::{Ctx, Direction};
     use crate::verify::verify;
-    use crate::voxel::{BitGrid, Frame};
-
-    const DIMS: [usize; 3] = [34, 30, 26];
-
-    fn block(v: [usize; 3]) -> bool {
-        (3..31).contains(&v[0]) && (3..27).contains(&v[1]) && (1..18).contains(&v[2])
-    }
 
     /// A block that has to get a pin of two voxels, of which one is beyond the skin.
     fn job(hollow: impl Fn([usize; 3]) -> bool + Sync) -> Job {
-        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
         let pin = |v: [usize; 3]| (v[0], v[1]) == (12, 14) && (18..20).contains(&v[2]);
-        let target = BitGrid::from_fn(DIMS, |v| block(v) || pin(v));
-        let initial = BitGrid::from_fn(DIMS, |v| block(v) && !hollow(v));
-        job_of(frame, initial, target, |_| true)
+        block_job(|v| block(v) && !hollow(v), |v| block(v) || pin(v), |_| true)
     }
 
     #[test]

@@ -25,7 +25,7 @@ use super::reasons::open_below;
 use super::round::{Attempt, Mending, along, deep, printed, volumes};
 use super::{Options, Run, Start, followed};
 use crate::base::{Ctx, Direction};
-use crate::plan::{Job, Plan, Step, StepKind, end_state};
+use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
 use crate::region::Volumes;
 use crate::voxel::{BitGrid, distance_within};
@@ -134,8 +134,7 @@ fn closely_cut(run: &mut Run, under: &UnderPlanes, best: Attempt) -> Result<Atte
     let setting = run.start.setting.with_close_cuts();
     let start = run.start.in_setting(&setting);
     let job = setting.job;
-    let state = end_state(job, &Plan { holdings: Vec::new(), steps: best.steps.clone() }).state;
-    let so_far = Printing::before_any(state, best.deficit.clone());
+    let so_far = Printing::before_any(best.end(job), best.deficit.clone());
     let after = (best.steps.clone(), best.cuts, best.stock.clone());
     let made = start.ended(under, after, (so_far, &best.deficit), &[], run.options, run.ctx)?;
     run.clock.lap("blocks");

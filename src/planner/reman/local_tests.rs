@@ -54,6 +54,31 @@ pub(super) fn job_of(
     }
 }
 
+/// The grid of [`block`].
+pub(super) const BLOCK_DIMS: [usize; 3] = [34, 30, 26];
+
+pub(super) fn block(v: [usize; 3]) -> bool {
+    (3..31).contains(&v[0]) && (3..27).contains(&v[1]) && (1..18).contains(&v[2])
+}
+
+/// A bowl in its top.
+pub(super) fn bowl(v: [usize; 3]) -> bool {
+    let r2 = (v[0] as f64 - 14.0).powi(2) + (v[1] as f64 - 14.0).powi(2);
+    v[2] as f64 >= 11.0 + r2 / 12.0
+}
+
+/// A job on that grid, its voxels 1 mm.
+pub(super) fn block_job(
+    initial: impl Fn([usize; 3]) -> bool + Sync,
+    target: impl Fn([usize; 3]) -> bool + Sync,
+    wanted: impl Fn(&Tool) -> bool,
+) -> Job {
+    let frame = Frame { pitch: 1.0, dims: BLOCK_DIMS, origin: DVec3::ZERO };
+    let [initial, target] =
+        [BitGrid::from_fn(BLOCK_DIMS, initial), BitGrid::from_fn(BLOCK_DIMS, target)];
+    job_of(frame, initial, target, wanted)
+}
+
 /// Asks what a run would on a job, with nothing done yet.
 pub(super) fn with_run<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
     let (setting, coarse, ctx) = (Setting::new(job), Coarse::of(job), Ctx::quiet());

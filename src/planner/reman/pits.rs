@@ -33,7 +33,7 @@ use super::setting::Setting;
 use super::{Run, Start, followed};
 use crate::access::CarrierTable;
 use crate::base::{Ctx, DVec2, DVec3, Direction};
-use crate::plan::{Job, Plan, end_state};
+use crate::plan::Job;
 use crate::planner::PlanError;
 use crate::region::Volumes;
 use crate::voxel::{BitGrid, Connectivity, components, flood};
@@ -57,8 +57,8 @@ const NEARLY_LEAST: f64 = 1.5;
 /// Material printed anew counts so much of what is given up.
 const PRINTED_WEIGHT: f64 = 0.1;
 
-/// A plan that leaves more than so many times what the rules allow gets no pits: they would not make it
-/// valid.
+/// A plan that leaves more than so many times what the rules allow gets no pits: on real pairs they open half of
+/// what is missing or a little more, which would not make it valid.
 const WITHIN: f64 = 2.5;
 
 /// Tries in vain, one after the other, before an end.
@@ -250,8 +250,7 @@ impl<'s, 'a> Digging<'s, 'a> {
     /// Goes on from a plan, narrow pits first.
     fn go_on(&mut self, now: Attempt) {
         let job = self.start.setting.job;
-        let plan = Plan { holdings: Vec::new(), steps: now.steps.clone() };
-        self.state = end_state(job, &plan).state;
+        self.state = now.end(job);
         self.patches = patches(job, &now.deficit);
         self.now = now;
         (self.opening, self.price) = (0, 0);
@@ -609,6 +608,7 @@ mod tests {
     use super::super::local_tests::{job_of, with_run};
     use super::super::round::{Mending, attempt};
     use super::*;
+    use crate::plan::{Plan, end_state};
     use crate::verify::verify;
     use crate::voxel::Frame;
 

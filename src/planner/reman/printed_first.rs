@@ -69,35 +69,22 @@ pub fn glimpse(run: &mut Run, clips: &[Clip]) -> Result<Leaves, PlanError> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::local_tests::{job_of, with_run};
+    use super::super::local_tests::{block, block_job, bowl, with_run};
     use super::*;
-    use crate::base::{Ctx, DVec3, Direction};
+    use crate::base::{Ctx, Direction};
     use crate::machine::Taken;
     use crate::plan::{Job, Plan, Plane, StepKind};
     use crate::verify::verify;
-    use crate::voxel::{BitGrid, Frame};
-
-    const DIMS: [usize; 3] = [34, 30, 26];
-
-    fn block(v: [usize; 3]) -> bool {
-        (3..31).contains(&v[0]) && (3..27).contains(&v[1]) && (1..18).contains(&v[2])
-    }
 
     /// A block that has to be whole, a little too long, with something missing.
     fn job(missing: impl Fn([usize; 3]) -> bool + Sync) -> Job {
-        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
-        let target = BitGrid::from_fn(DIMS, |v| block(v) && v[0] < 28);
-        let initial = BitGrid::from_fn(DIMS, |v| block(v) && !missing(v));
-        job_of(frame, initial, target, |t| t.taken == Taken::Always)
+        let target = |v: [usize; 3]| block(v) && v[0] < 28;
+        block_job(|v| block(v) && !missing(v), target, |t| t.taken == Taken::Always)
     }
 
     /// Worn on top: a bowl is no base for a plane to keep, but it is filled from above.
     #[test]
     fn a_worn_top_is_filled_before_anything_is_cut() {
-        let bowl = |v: [usize; 3]| {
-            let r2 = (v[0] as f64 - 14.0).powi(2) + (v[1] as f64 - 14.0).powi(2);
-            v[2] as f64 >= 11.0 + r2 / 12.0
-        };
         let job = job(bowl);
         let made = with_run(&job, |run| printed_first(run).unwrap().unwrap());
         assert_eq!(made.left(), 0);

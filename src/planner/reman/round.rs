@@ -8,7 +8,7 @@ use super::reasons::{open_below, reasons};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Standing, Start};
 use crate::base::{Ctx, Direction};
-use crate::plan::{Job, Step, StepKind};
+use crate::plan::{Job, Plan, Step, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::Volumes;
 use crate::voxel::{BitGrid, Connectivity, components};
@@ -49,6 +49,12 @@ impl Attempt {
     /// All voxels left.
     pub fn left(&self) -> usize {
         self.excess.count() + self.deficit.count()
+    }
+
+    /// What stands after all its steps.
+    pub fn end(&self, job: &Job) -> BitGrid {
+        let plan = Plan { holdings: Vec::new(), steps: self.steps.clone() };
+        end_state(job, &plan).state
     }
 
     /// Why it left what it left.

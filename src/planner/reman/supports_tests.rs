@@ -33,6 +33,11 @@ fn upright(job: &Job) -> Way<'_> {
     Way { direction: Direction::Z, holding: 0, tool: Tool::longest(&job.nozzles).unwrap() }
 }
 
+/// What can be laid of what is `left` of a job.
+fn layer<'s>(job: &'s Job, left: &'s BitGrid, fixed: &'s [Vec<DVec3>]) -> Layer<'s> {
+    Layer { job, state: &job.initial, left, core: left, fixed, closely: false }
+}
+
 /// All that is laid straight from above where no supports are to be in one set, and slim ones in
 /// another.
 fn on_supports(layer: &Layer, avoided: &BitGrid, slim: &BitGrid) -> BitGrid {
@@ -62,14 +67,7 @@ fn a_roof_is_printed_whole_on_supports_that_reach_down_to_the_part() {
     let setting = Setting::new(&job);
     let left = job.target.minus(&job.initial);
     let fixed = vec![setting.fixed(0, &job.initial)];
-    let layer = Layer {
-        job: &job,
-        state: &job.initial,
-        left: &left,
-        core: &left,
-        fixed: &fixed,
-        closely: false,
-    };
+    let layer = layer(&job, &left, &fixed);
     let plain = layer.lay(upright(&job));
     assert!(plain.gain < left.count(), "the roof overhangs");
     let none = BitGrid::new(DIMS);
@@ -91,14 +89,7 @@ fn supports_are_slim_where_they_are_told_to_be() {
     let setting = Setting::new(&job);
     let left = job.target.minus(&job.initial);
     let fixed = vec![setting.fixed(0, &job.initial)];
-    let layer = Layer {
-        job: &job,
-        state: &job.initial,
-        left: &left,
-        core: &left,
-        fixed: &fixed,
-        closely: false,
-    };
+    let layer = layer(&job, &left, &fixed);
     let (none, all) = (BitGrid::new(DIMS), BitGrid::from_fn(DIMS, |_| true));
     let (wide, slim) = (on_supports(&layer, &none, &none), on_supports(&layer, &none, &all));
     for region in [&wide, &slim] {
@@ -126,14 +117,7 @@ fn supports_lean_past_what_the_nozzle_does_not_get_at() {
     let setting = Setting::new(&job);
     let left = job.target.minus(&job.initial);
     let fixed = vec![setting.fixed(0, &job.initial)];
-    let layer = Layer {
-        job: &job,
-        state: &job.initial,
-        left: &left,
-        core: &left,
-        fixed: &fixed,
-        closely: false,
-    };
+    let layer = layer(&job, &left, &fixed);
     let none = BitGrid::new(DIMS);
     let region = on_supports(&layer, &none, &none);
     assert!(left.is_subset_of(&region), "{} left", left.minus(&region).count());
@@ -146,14 +130,7 @@ fn supports_stand_past_what_is_to_be_avoided() {
     let setting = Setting::new(&job);
     let left = job.target.minus(&job.initial);
     let fixed = vec![setting.fixed(0, &job.initial)];
-    let layer = Layer {
-        job: &job,
-        state: &job.initial,
-        left: &left,
-        core: &left,
-        fixed: &fixed,
-        closely: false,
-    };
+    let layer = layer(&job, &left, &fixed);
     let none = BitGrid::new(DIMS);
     let before = on_supports(&layer, &none, &none).minus(&left);
     // A slab across the roof's side, in which supports stood; the roof leans over it.
@@ -178,14 +155,7 @@ fn a_voxel_carried_across_a_corner_is_laid_once_its_neighbour_is() {
     let fixed = vec![setting.fixed(0, &job.initial)];
     let laid = |left: &[[usize; 3]]| {
         let left = BitGrid::from_fn(DIMS, |v| left.contains(&v));
-        let layer = Layer {
-            job: &job,
-            state: &job.initial,
-            left: &left,
-            core: &left,
-            fixed: &fixed,
-            closely: false,
-        };
+        let layer = layer(&job, &left, &fixed);
         layer.lay(upright(&job)).gain
     };
     assert_eq!(laid(&[beside]), 1);
@@ -220,14 +190,7 @@ fn what_stands_beside_the_part_begins_on_the_bare_base() {
         job.rules.holding = holding;
         let setting = Setting::new(&job);
         let fixed = vec![setting.fixed(0, &job.initial)];
-        let layer = Layer {
-            job: &job,
-            state: &job.initial,
-            left: &left,
-            core: &left,
-            fixed: &fixed,
-            closely: false,
-        };
+        let layer = layer(&job, &left, &fixed);
         // Held anew, it would be a second body.
         assert_eq!(layer.lay(upright(&job)).gain, laid, "{holding:?}");
         let tilted = Direction::new(DVec3::new(0.1, 0.0, 1.0)).unwrap();
