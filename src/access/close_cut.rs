@@ -14,6 +14,7 @@
 //! Guarantees: what is removed is accessible against the output state, by the rules to the letter.
 //! Not guaranteed: that it is the largest such set; tips farther from the few voxels have no say.
 
+use super::boxes::Boxes;
 use super::view::spacing;
 use crate::base::{DVec2, DVec3, Direction};
 use crate::machine::Tool;
@@ -21,6 +22,7 @@ use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_1_SQRT_2;
+use std::ops::ControlFlow;
 
 /// Tips stand so much farther from the few voxels than the edge is wide, mm: enough to clear the way
 /// of a shank that widens. More takes longer, so of hardly any voxels more are looked at.
@@ -192,14 +194,20 @@ impl<'a> Close<'a> {
         let floor = low - tool.active_length() - ROUNDING_MM;
         let margin = DVec2::splat(wide + reach + margin_mm + spacing);
         let (least, most) = (least - margin, most + margin);
-        let is_met = |p: &DVec3| {
-            let at = plane.across(*p);
-            plane.height(*p) > floor && at.cmpge(least).all() && at.cmple(most).all()
+        let is_near = |p: DVec3, within: f64| {
+            let (at, wide) = (plane.across(p), DVec2::splat(within));
+            let beside = at.cmplt(least - wide) | at.cmpgt(most + wide);
+            plane.height(p) + within > floor && !beside.any()
         };
+        let is_met = |p: &DVec3| is_near(*p, 0.0);
         let stays = if direction.is_grid_axis() { &self.shell } else { &self.stays };
-        let voxels = stays.iter_ones().map(|v| frame.center(v));
-        let points = voxels.chain(self.fixed.iter().copied()).filter(is_met).map(spot_at);
-        let hard = Squares::new(points.collect(), spacing);
+        let mut points: Vec<Spot> =
+            self.fixed.iter().copied().filter(is_met).map(spot_at).collect();
+        let _ = Boxes::new(frame, stays).visit(&is_near, &mut |v| {
+            points.extend(Some(frame.center(v)).filter(is_met).map(spot_at));
+            ControlFlow::Continue(())
+        });
+        let hard = Squares::new(points, spacing);
         let rings = rings(wide);
         let of_tip = |t: &[i64; 2]| {
             let at = lattice.at(*t);

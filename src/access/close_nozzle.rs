@@ -5,42 +5,47 @@
 //! are exact.
 //!
 //! Method: with its tip at voxel x a nozzle meets the obstacle o if (o − x)·d > f(|(o − x) × d|), f the nozzle's lower
-//! surface. Obstacles next to the voxel come first, since they mostly are what is in the way; the few
-//! voxels that pass are then held against all points at once.
+//! surface. Obstacles next to the voxel come first, since they mostly are what is in the way; for the few
+//! voxels that pass, boxes of obstacles are entered where any point in them might meet the nozzle.
 //!
 //! Guarantees: what is called clear is clear by the rules to the letter, and what [`nozzle_map`](super::nozzle_map)
 //! calls clear is so here. Not guaranteed: speed; each pair of a voxel that is clear and a direction costs a look at
-//! all obstacles.
+//! the surroundings of the whole nozzle.
 
+use super::Scene;
+use super::boxes::Boxes;
 use super::depth::dipped;
-use crate::base::{DVec3, Direction};
+use crate::base::{Aabb, DVec3, Direction};
 use crate::machine::Tool;
-use crate::voxel::{BitGrid, Frame};
+use crate::voxel::BitGrid;
+use std::ops::ControlFlow;
 
 /// Obstacles up to so many voxels away along each axis are looked at first.
 const NEAR: i64 = 4;
 
-/// Of `few` the voxels at which a nozzle stands clear of a solid and of fixed points along a direction. Sections that reach
-/// the tip may stand `dip_mm` lower than the obstacles allow.
+/// Of `few` the voxels at which a nozzle stands clear of a scene, inner voxels of its solid included, along a direction.
+/// Sections that reach the tip may stand `dip_mm` lower than the obstacles allow.
 pub fn clear_closely(
-    frame: &Frame,
-    (solid, fixed): (&BitGrid, &[DVec3]),
-    few: &BitGrid,
+    scene: &Scene,
+    solid: &BitGrid,
+    few: &[[usize; 3]],
     tool: &Tool,
     direction: Direction,
     dip_mm: f64,
-) -> BitGrid {
+) -> Vec<[usize; 3]> {
+    let frame = &scene.frame;
     let sections = dipped(tool, dip_mm);
     let d = direction.vec();
-    // An obstacle that far from the tip.
-    let is_met = |from_tip: DVec3| {
-        let over = from_tip.dot(d);
+    // Whether any point up to `within` from one that far from the tip may be met.
+    let may_meet = |from_tip: DVec3, within: f64| {
+        let over = from_tip.dot(d) + within;
         if over <= 0.0 {
             return false;
         }
-        let aside = from_tip.cross(d).length();
+        let aside = (from_tip.cross(d).length() - within).max(0.0);
         sections.iter().any(|(s, lift)| over > s.shape.lower_surface(aside) + lift)
     };
+    let is_met = |from_tip: DVec3| may_meet(from_tip, 0.0);
     let side = 2 * NEAR + 1;
     let offset = |i: i64| [i % side, i / side % side, i / (side * side)].map(|c| c - NEAR);
     let at = |o: &[i64; 3]| DVec3::from_array(o.map(|c| c as f64)) * frame.pitch;
@@ -51,24 +56,45 @@ pub fn clear_closely(
         !near.iter().any(|o| solid.get_or_empty(beside(o)))
     };
     let mut open: Vec<([usize; 3], DVec3)> =
-        few.iter_ones().filter(is_open_nearby).map(|v| (v, frame.center(v))).collect();
-    if !open.is_empty() {
-        // Inner voxels too: a needle may pass between those at the surface.
-        for p in solid.iter_ones().map(|v| frame.center(v)).chain(fixed.iter().copied()) {
-            open.retain(|(_, tip)| !is_met(p - *tip));
-        }
+        few.iter().copied().filter(is_open_nearby).map(|v| (v, frame.center(v))).collect();
+    if open.is_empty() {
+        return Vec::new();
     }
-    let mut clear = BitGrid::new(few.dims());
-    open.iter().for_each(|(v, _)| clear.set(*v, true));
-    clear
+    let boxes = Boxes::new(frame, solid);
+    open.retain(|(_, tip)| {
+        let may = |centre: DVec3, within: f64| may_meet(centre - *tip, within);
+        let each = &mut |v| match is_met(frame.center(v) - *tip) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        };
+        boxes.visit(&may, each).is_continue()
+    });
+    // Most fixed points are a base plate's, out of the way of all the few.
+    let around = Aabb {
+        min: open.iter().fold(DVec3::INFINITY, |least, (_, tip)| least.min(*tip)),
+        max: open.iter().fold(DVec3::NEG_INFINITY, |most, (_, tip)| most.max(*tip)),
+    };
+    let (middle, spread) = (around.center(), around.size().length() / 2.0);
+    let fixed: Vec<(DVec3, f64, &[DVec3])> = scene
+        .groups()
+        .map(|(b, points)| (b.center(), b.size().length() / 2.0, points))
+        .filter(|(centre, within, _)| may_meet(*centre - middle, within + spread))
+        .collect();
+    open.retain(|(_, tip)| {
+        !fixed.iter().any(|(centre, within, points)| {
+            may_meet(*centre - *tip, *within) && points.iter().any(|p| is_met(*p - *tip))
+        })
+    });
+    open.into_iter().map(|(v, _)| v).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::access::{Scene, nozzle_map, reachable};
+    use crate::access::{nozzle_map, reachable};
     use crate::base::fibonacci_sphere;
     use crate::machine::{Section, Shape, ToolKind};
+    use crate::voxel::Frame;
 
     const FRAME: Frame = Frame { pitch: 0.5, dims: [30, 26, 24], origin: DVec3::ZERO };
 
@@ -104,7 +130,10 @@ mod tests {
         let air = BitGrid::from_fn(FRAME.dims, |v| !state.get(v) && v[0] % 2 == v[2] % 2);
         let mut more = 0;
         for d in fibonacci_sphere(24).into_iter().chain([Direction::Z, Direction::X]) {
-            let clear = clear_closely(&FRAME, (&state, &fixed), &air, &tool, d, dip);
+            let all: Vec<[usize; 3]> = air.iter_ones().collect();
+            let mut clear = BitGrid::new(FRAME.dims);
+            let found = clear_closely(&scene, &state, &all, &tool, d, dip);
+            found.into_iter().for_each(|v| clear.set(v, true));
             let plane = d.image_plane();
             let is_clear = |v: [usize; 3]| {
                 let (tip, z) = (plane.across(FRAME.center(v)), plane.height(FRAME.center(v)));

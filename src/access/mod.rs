@@ -19,6 +19,7 @@
 mod additive;
 #[cfg(test)]
 mod allowance_tests;
+mod boxes;
 mod ceilings;
 mod cells;
 mod close_cut;

@@ -23,19 +23,29 @@ pub fn coarsened(grid: &BitGrid, factor: usize, least: usize) -> BitGrid {
     let [_, ny, nz] = grid.dims();
     let mut out = BitGrid::new(grid.dims().map(|n| n.div_ceil(factor)));
     let nx = out.dims()[0];
+    if least == 1 {
+        // Any will do: all rows of a cube at once.
+        out.par_rows_mut().for_each_init(
+            || vec![0u64; grid.words_per_row()],
+            |any, (cy, cz, row)| {
+                any.fill(0);
+                for z in cz * factor..((cz + 1) * factor).min(nz) {
+                    for y in cy * factor..((cy + 1) * factor).min(ny) {
+                        any.iter_mut().zip(grid.row(y, z)).for_each(|(any, bits)| *any |= bits);
+                    }
+                }
+                each_one(any, |x| row[x / factor / 64] |= 1 << (x / factor % 64));
+            },
+        );
+        return out;
+    }
     out.par_rows_mut().for_each_init(
         || vec![0usize; nx],
         |counts, (cy, cz, row)| {
             counts.fill(0);
             for z in cz * factor..((cz + 1) * factor).min(nz) {
                 for y in cy * factor..((cy + 1) * factor).min(ny) {
-                    for (w, &bits) in grid.row(y, z).iter().enumerate() {
-                        let mut rest = bits;
-                        while rest != 0 {
-                            counts[(w * 64 + rest.trailing_zeros() as usize) / factor] += 1;
-                            rest &= rest - 1;
-                        }
-                    }
+                    each_one(grid.row(y, z), |x| counts[x / factor] += 1);
                 }
             }
             for (x, _) in counts.iter().enumerate().filter(|(_, n)| **n >= least) {
@@ -44,6 +54,17 @@ pub fn coarsened(grid: &BitGrid, factor: usize, least: usize) -> BitGrid {
         },
     );
     out
+}
+
+/// The places of the ones in a row of words.
+fn each_one(words: &[u64], mut f: impl FnMut(usize)) {
+    for (w, &bits) in words.iter().enumerate() {
+        let mut rest = bits;
+        while rest != 0 {
+            f(w * 64 + rest.trailing_zeros() as usize);
+            rest &= rest - 1;
+        }
+    }
 }
 
 /// The voxels of a grid of `dims` that lie in a solid voxel of its coarsened grid.

@@ -2,10 +2,10 @@
 //! it.
 //!
 //! Method. Added material beyond skin that no nozzle gets at from any direction while all of the
-//! reused volume stands is *hidden*: under a tip that hovers a voxel over the base there is no room
-//! for anything. A little of it comes from where the target happens to lie on the grid, so the
-//! target is moved by whole voxels, the nearest first, until nothing is hidden. Where much is
-//! hidden, planes have to give up what hides it; then the target stays.
+//! reused volume stands is *hidden*, by exact distances: under a tip that hovers a voxel over the
+//! base there is no room for anything. A little of it comes from where the target happens to lie on
+//! the grid, so the target is moved by whole voxels, the nearest first, until nothing is hidden.
+//! Where much is hidden, planes have to give up what hides it; then the target stays.
 //!
 //! Guarantees: after the shift nothing is hidden and nearly as much is reused. Not guaranteed: that
 //! what is not hidden can be carried.
@@ -13,8 +13,9 @@
 use super::Options;
 use super::round::deep;
 use super::setting::Setting;
-use crate::access::{Scene, nozzle_map, reachable};
+use crate::access::{Scene, clear_closely, nozzle_map, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
+use crate::machine::Tool;
 use crate::plan::Job;
 use crate::region::Volumes;
 use crate::voxel::BitGrid;
@@ -46,8 +47,7 @@ pub fn shift_off_hidden(
 ) -> Result<Option<[isize; 3]>, Cancelled> {
     let look = Look::new(job, options);
     let (hidden, most) = look.hidden(&job.target, ctx)?;
-    let limit = (MOST_HIDDEN * job.target.count() as f64) as usize;
-    if !(1..=limit).contains(&hidden) {
+    if !(1..=most_hidden(&job.target)).contains(&hidden.count()) {
         return Ok(None);
     }
     let reach = || -FARTHEST..=FARTHEST;
@@ -62,13 +62,18 @@ pub fn shift_off_hidden(
             // Part of it has left the grid.
             continue;
         }
-        let (still, kept) = look.hidden(&moved, ctx)?;
-        tracing::debug!(?shift, still, kept, "shift of the target");
-        if still == 0 && kept as f64 >= LEAST_KEPT * most as f64 {
+        let (still, kept) = look.hidden_of(&moved, &self::moved(&hidden, shift), ctx)?;
+        tracing::debug!(?shift, still = still.count(), kept, "shift of the target");
+        if still.is_empty() && kept as f64 >= LEAST_KEPT * most as f64 {
             return Ok(Some(shift));
         }
     }
     Ok(None)
+}
+
+/// Hidden voxels for which a shift is looked for.
+fn most_hidden(target: &BitGrid) -> usize {
+    (MOST_HIDDEN * target.count() as f64) as usize
 }
 
 /// A set moved by whole voxels.
@@ -99,35 +104,77 @@ impl<'a> Look<'a> {
         Look { setting, ways, fixed }
     }
 
-    /// Hidden voxels of a target that lies so, and voxels reused.
-    fn hidden(&self, target: &BitGrid, ctx: &Ctx) -> Result<(usize, usize), Cancelled> {
+    /// Hidden voxels of a target that lies so, and how many voxels are reused.
+    fn hidden(&self, target: &BitGrid, ctx: &Ctx) -> Result<(BitGrid, usize), Cancelled> {
+        self.hidden_of(target, &BitGrid::new(target.dims()), ctx)
+    }
+
+    /// The same, but no more than those among the `suspects` if there are any of these. Those of an
+    /// unmoved target mostly are still hidden, and so few are told closely in no time.
+    fn hidden_of(
+        &self,
+        target: &BitGrid,
+        suspects: &BitGrid,
+        ctx: &Ctx,
+    ) -> Result<(BitGrid, usize), Cancelled> {
         let job = self.setting.job;
         let both = job.initial.and(target);
         let (rules, frame) = (&job.rules, &job.frame);
         let volumes =
             Volumes::keeping(&job.initial, target, &both, frame, rules.holding, rules.grip_mm);
         let (_, added) = deep(&self.setting, &volumes);
-        let mut left = added.minus(&self.setting.skin(&volumes.reused));
+        let wanted = added.minus(&self.setting.skin(&volumes.reused));
+        let scenes: Vec<Scene> =
+            self.fixed.iter().map(|f| Scene::new(frame, &volumes.reused, f)).collect();
+        let (solid, dip) = (&volumes.reused, rules.nozzle_dip_mm);
+        let closely = |few: BitGrid| {
+            let mut few: Vec<[usize; 3]> = few.iter_ones().collect();
+            let shown = |few: &Vec<[usize; 3]>, tool: &Tool, (h, d): (usize, Direction)| {
+                clear_closely(&scenes[h], solid, few, tool, d, dip)
+            };
+            let take = |few: &mut Vec<_>, shown: &Vec<_>| few.retain(|v| !shown.contains(v));
+            self.show(&mut few, Vec::is_empty, shown, take, ctx)?;
+            let mut left = BitGrid::new(frame.dims);
+            few.into_iter().for_each(|v| left.set(v, true));
+            Ok(left)
+        };
+        let kept = volumes.reused.count();
+        let hidden = closely(wanted.and(suspects))?;
+        if !hidden.is_empty() {
+            return Ok((hidden, kept));
+        }
+        let mut left = wanted;
+        let shown = |left: &BitGrid, tool: &Tool, (h, d): (usize, Direction)| {
+            reachable(&nozzle_map(&scenes[h], left, tool, d, dip), left, frame)
+        };
+        self.show(&mut left, BitGrid::is_empty, shown, BitGrid::subtract, ctx)?;
+        let is_many = left.count() > most_hidden(target);
+        Ok((if is_many { left } else { closely(left)? }, kept))
+    }
+
+    /// Takes from `left` what any nozzle shows in any way, until nothing is left.
+    fn show<L: Sync, S: Send>(
+        &self,
+        left: &mut L,
+        is_empty: impl Fn(&L) -> bool,
+        shown: impl Fn(&L, &Tool, (usize, Direction)) -> S + Sync,
+        take: impl Fn(&mut L, &S),
+        ctx: &Ctx,
+    ) -> Result<(), Cancelled> {
         for ways in self.ways.chunks(AT_A_TIME) {
-            if left.is_empty() {
+            if is_empty(left) {
                 break;
             }
-            let shown: Vec<BitGrid> = ways
+            let open: Vec<Vec<S>> = ways
                 .par_iter()
-                .map(|(holding, direction)| {
+                .map(|way| {
                     ctx.check()?;
-                    let scene = Scene::new(frame, &volumes.reused, &self.fixed[*holding]);
-                    let mut open = BitGrid::new(frame.dims);
-                    for tool in self.setting.nozzles() {
-                        let map = nozzle_map(&scene, &left, tool, *direction, rules.nozzle_dip_mm);
-                        open.union_with(&reachable(&map, &left, frame));
-                    }
-                    Ok(open)
+                    Ok(self.setting.nozzles().iter().map(|tool| shown(left, tool, *way)).collect())
                 })
                 .collect::<Result<_, Cancelled>>()?;
-            shown.iter().for_each(|open| left.subtract(open));
+            open.iter().flatten().for_each(|open| take(left, open));
         }
-        Ok((left.count(), volumes.reused.count()))
+        Ok(())
     }
 }
 

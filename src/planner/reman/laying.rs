@@ -160,9 +160,10 @@ impl Layer<'_> {
         if self.closely && !way.direction.is_grid_axis() {
             let others = candidates.minus(&clear);
             if others.count() <= MOST_CLOSELY {
-                let solid = (self.state, scene.fixed());
-                let (frame, d) = (&self.job.frame, way.direction);
-                clear.union_with(&clear_closely(frame, solid, &others, way.tool, d, dip));
+                let others: Vec<[usize; 3]> = others.iter_ones().collect();
+                let (d, solid) = (way.direction, self.state);
+                let closely = clear_closely(scene, solid, &others, way.tool, d, dip);
+                closely.into_iter().for_each(|v| clear.set(v, true));
             }
         }
         clear
