@@ -71,11 +71,6 @@ impl Scene {
         &self.voxels
     }
 
-    /// The obstacle points that are no voxels' centres, mm.
-    pub fn fixed(&self) -> &[DVec3] {
-        &self.fixed
-    }
-
     /// All obstacle points, mm.
     pub fn points(&self) -> impl Iterator<Item = DVec3> + '_ {
         let centres = self.voxels.iter_ones().map(|v| self.frame.center(v));

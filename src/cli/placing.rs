@@ -5,10 +5,11 @@
 //! its faces. The best placement is planned. Asked for so many candidates, that many are planned in
 //! full and the best plan is kept. Where planner search begins with nothing, the candidates are the six
 //! ways of putting the target on the table, its file's first; those from which a first over-fill misses
-//! most come last. They are planned until a search ends within δ of the target. Asked for none in particular,
-//! the others have a say only where the plan of the first keeps little of what both parts have in common there: each is then looked at on a
-//! coarse grid, and of those that promise more, the most promising first, at most two are planned as
-//! well, until one keeps enough.
+//! most come last. They are planned until a search ends within δ of the target. Asked for none in
+//! particular, the others have a say only where the plan of the first keeps little of what both parts
+//! have in common there, or leaves more than the rules allow: each is then looked at on a coarse grid,
+//! and of those that promise more, the most promising first, at most two are planned as well, until
+//! one does neither.
 //!
 //! Guarantees: the same choice at any thread count; of plans made on the job's grid the best is
 //! kept. Not guaranteed: that no other placement has a better plan. Millimetres.
@@ -128,7 +129,11 @@ impl Made {
         self.planned.standing
     }
 
-    /// Whether it keeps [`ENOUGH_SHARE`].
+    /// Whether it leaves no more than the rules allow and keeps [`ENOUGH_SHARE`].
+    fn is_enough(&self) -> bool {
+        self.standing().class < 2 && self.keeps_enough()
+    }
+
     fn keeps_enough(&self) -> bool {
         let job = &self.prepared.job;
         let kept = end_state(job, &self.planned.plan).reused.count() as f64;
@@ -171,7 +176,7 @@ impl Placing<'_> {
         }
         let mut lines = vec![told(0, &best.standing(), "")];
         let all_asked_for = self.config.setup_candidates.is_some();
-        let is_enough = |best: &Made| !all_asked_for && best.keeps_enough();
+        let is_enough = |best: &Made| !all_asked_for && best.is_enough();
         if is_enough(&best) {
             return Ok(best);
         }
@@ -187,11 +192,7 @@ impl Placing<'_> {
                 lines.push(told(i, &standing, " at a glance"));
                 glances.push((standing.loss_mm3(), i));
             }
-            // Those that promise more than the first does by the same measure.
-            let first = glances.first().map_or(0.0, |g| g.0);
-            glances.retain(|g| g.0 < first);
-            glances.sort_by(|a, b| a.0.total_cmp(&b.0));
-            glances.into_iter().take(MOST_MORE).map(|(_, i)| i).collect()
+            promising(glances, best.standing().class == 2)
         };
         for i in rest {
             if self.ctx.out_of_time() {
@@ -309,6 +310,15 @@ impl Placing<'_> {
     }
 }
 
+/// Of the placements' losses at a glance those to plan after the first, the least first: where that one `fails`
+/// its glance did not show why, otherwise they have to promise more than it by the same measure.
+fn promising(mut glances: Vec<(f64, usize)>, fails: bool) -> Vec<usize> {
+    let first = glances.first().map_or(0.0, |g| g.0);
+    glances.retain(|g| g.1 > 0 && (fails || g.0 < first));
+    glances.sort_by(|a, b| a.0.total_cmp(&b.0));
+    glances.into_iter().take(MOST_MORE).map(|(_, i)| i).collect()
+}
+
 /// Which axis of its file a part has up: "-x".
 fn axis_up(plan_from_part: &DAffine3) -> String {
     let up = plan_from_part.matrix3.transpose() * DVec3::Z;
@@ -404,6 +414,16 @@ fn layer_mm(nozzles: &[Tool]) -> f64 {
 mod tests {
     use super::*;
     use hmplan::base::DMat3;
+
+    #[test]
+    fn after_a_plan_that_fails_others_have_a_turn_whatever_they_promise() {
+        let glances = [5.0, 9.0, 4.0, 7.0, 3.0].into_iter().zip(0..).collect::<Vec<_>>();
+        assert_eq!(promising(glances.clone(), false), [4, 2]);
+        assert_eq!(promising(glances[..2].to_vec(), false), [0; 0]);
+        assert_eq!(promising(glances[..2].to_vec(), true), [1]);
+        assert_eq!(promising(glances, true), [4, 2]);
+        assert_eq!(promising(Vec::new(), true), [0; 0]);
+    }
 
     #[test]
     fn the_axis_that_points_up_is_told_by_its_name_in_the_file() {
