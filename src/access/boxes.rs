@@ -4,7 +4,7 @@
 //! passes over whole boxes that a bound rules out. Inner voxels are there too: off the grid axes a fine tool may pass
 //! between those at the surface and meet one below.
 //!
-//! Guarantees: every voxel that its own bound and those of the boxes around it let through is visited, in a fixed order.
+//! Guarantees: every voxel none of whose boxes the bound rules out is visited, once and in a fixed order; of others none.
 
 use crate::base::DVec3;
 use crate::voxel::{BitGrid, Frame, coarsened};
@@ -13,7 +13,7 @@ use std::ops::ControlFlow;
 /// Boxes along the side of the next larger one: 8 takes larger steps past what is of no concern, 2 more of them.
 const FACTOR: usize = 4;
 
-/// Boxes up to so many voxels wide.
+/// Sizes of boxes; the largest are 64 voxels wide, a few on a side of the usual grids.
 const LEVELS: usize = 3;
 
 /// The voxels of a solid, and boxes of them.

@@ -20,6 +20,7 @@ use crate::plan::Job;
 use crate::region::Volumes;
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// Shifts tried, voxels along an axis; upward half as many, since what the base holds has to stay
 /// within the surface tolerance of it.
@@ -130,9 +131,9 @@ impl<'a> Look<'a> {
         let closely = |few: BitGrid| {
             let mut few: Vec<[usize; 3]> = few.iter_ones().collect();
             let shown = |few: &Vec<[usize; 3]>, tool: &Tool, (h, d): (usize, Direction)| {
-                clear_closely(&scenes[h], solid, few, tool, d, dip)
+                clear_closely(&scenes[h], solid, few, tool, d, dip).into_iter().collect()
             };
-            let take = |few: &mut Vec<_>, shown: &Vec<_>| few.retain(|v| !shown.contains(v));
+            let take = |few: &mut Vec<_>, shown: &BTreeSet<_>| few.retain(|v| !shown.contains(v));
             self.show(&mut few, Vec::is_empty, shown, take, ctx)?;
             let mut left = BitGrid::new(frame.dims);
             few.into_iter().for_each(|v| left.set(v, true));
