@@ -16,76 +16,118 @@ use super::Scene;
 use super::boxes::Boxes;
 use super::depth::dipped;
 use crate::base::{Aabb, DVec3, Direction};
-use crate::machine::Tool;
+use crate::machine::{Section, Tool};
 use crate::voxel::BitGrid;
 use std::ops::ControlFlow;
+use std::sync::OnceLock;
 
 /// Obstacles up to so many voxels away along each axis are looked at first.
 const NEAR: i64 = 4;
 
-/// Of `few` the voxels at which a nozzle stands clear of a scene, inner voxels of its solid included, along a direction.
-/// Sections that reach the tip may stand `dip_mm` lower than the obstacles allow.
-pub fn clear_closely(
-    scene: &Scene,
-    solid: &BitGrid,
-    few: &[[usize; 3]],
-    tool: &Tool,
-    direction: Direction,
-    dip_mm: f64,
-) -> Vec<[usize; 3]> {
-    let frame = &scene.frame;
-    let sections = dipped(tool, dip_mm);
-    let d = direction.vec();
-    // Whether any point up to `within` from one that far from the tip may be met.
-    let may_meet = |from_tip: DVec3, within: f64| {
-        let over = from_tip.dot(d) + within;
-        if over <= 0.0 {
-            return false;
-        }
-        let aside = (from_tip.cross(d).length() - within).max(0.0);
-        sections.iter().any(|(s, lift)| over > s.shape.lower_surface(aside) + lift)
-    };
-    let is_met = |from_tip: DVec3| may_meet(from_tip, 0.0);
-    let side = 2 * NEAR + 1;
-    let offset = |i: i64| [i % side, i / side % side, i / (side * side)].map(|c| c - NEAR);
-    let at = |o: &[i64; 3]| DVec3::from_array(o.map(|c| c as f64)) * frame.pitch;
-    let mut near: Vec<[i64; 3]> = (0..side.pow(3)).map(offset).filter(|o| is_met(at(o))).collect();
-    near.sort_by_key(|o| o.iter().map(|c| c * c).sum::<i64>());
-    let is_open_nearby = |v: &[usize; 3]| {
-        let beside = |o: &[i64; 3]| std::array::from_fn(|a| v[a] as i64 + o[a]);
-        !near.iter().any(|o| solid.get_or_empty(beside(o)))
-    };
-    let mut open: Vec<([usize; 3], DVec3)> =
-        few.iter().copied().filter(is_open_nearby).map(|v| (v, frame.center(v))).collect();
-    if open.is_empty() {
-        return Vec::new();
+/// A scene that nozzles are held against at a few voxels.
+pub struct CloseNozzle<'a> {
+    scene: &'a Scene,
+    solid: &'a BitGrid,
+    /// Of the solid, made when first asked for: most voxels are not open nearby.
+    boxes: OnceLock<Boxes<'a>>,
+}
+
+impl<'a> CloseNozzle<'a> {
+    /// `solid` is what the scene's voxels are the surface of.
+    pub fn new(scene: &'a Scene, solid: &'a BitGrid) -> Self {
+        CloseNozzle { scene, solid, boxes: OnceLock::new() }
     }
-    let boxes = Boxes::new(frame, solid);
-    open.retain(|(_, tip)| {
-        let may = |centre: DVec3, within: f64| may_meet(centre - *tip, within);
-        let each = &mut |v| match is_met(frame.center(v) - *tip) {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
+
+    pub fn scene(&self) -> &'a Scene {
+        self.scene
+    }
+
+    /// Of some voxels those at which a nozzle meets nothing of the solid within a few voxels: no others are clear.
+    pub fn open_nearby(
+        &self,
+        some: &[[usize; 3]],
+        tool: &Tool,
+        direction: Direction,
+        dip_mm: f64,
+    ) -> Vec<[usize; 3]> {
+        let sections = dipped(tool, dip_mm);
+        let side = 2 * NEAR + 1;
+        let offset = |i: i64| [i % side, i / side % side, i / (side * side)].map(|c| c - NEAR);
+        let is_met = |o: &[i64; 3]| {
+            let from_tip = DVec3::from_array(o.map(|c| c as f64)) * self.scene.frame.pitch;
+            may_meet(&sections, direction, from_tip, 0.0)
         };
-        boxes.visit(&may, each).is_continue()
-    });
-    // Most fixed points are a base plate's, out of the way of all the few.
-    let around = Aabb {
-        min: open.iter().fold(DVec3::INFINITY, |least, (_, tip)| least.min(*tip)),
-        max: open.iter().fold(DVec3::NEG_INFINITY, |most, (_, tip)| most.max(*tip)),
-    };
-    let (middle, spread) = (around.center(), around.size().length() / 2.0);
-    let fixed: Vec<(DVec3, f64, &[DVec3])> = scene
-        .groups()
-        .map(|(b, points)| (b.center(), b.size().length() / 2.0, points))
-        .filter(|(centre, within, _)| may_meet(*centre - middle, within + spread))
-        .collect();
-    open.retain(|(_, tip)| {
-        !fixed.iter().any(|(centre, within, points)| {
-            may_meet(*centre - *tip, *within) && points.iter().any(|p| is_met(*p - *tip))
-        })
-    });
-    open.into_iter().map(|(v, _)| v).collect()
+        let mut near: Vec<[i64; 3]> = (0..side.pow(3)).map(offset).filter(is_met).collect();
+        near.sort_by_key(|o| o.iter().map(|c| c * c).sum::<i64>());
+        let is_open = |v: &&[usize; 3]| {
+            let beside = |o: &[i64; 3]| std::array::from_fn(|a| v[a] as i64 + o[a]);
+            !near.iter().any(|o| self.solid.get_or_empty(beside(o)))
+        };
+        some.iter().filter(is_open).copied().collect()
+    }
+
+    /// Of `few` the voxels at which a nozzle stands clear of the scene, inner voxels of its solid included, along a
+    /// direction. Sections that reach the tip may stand `dip_mm` lower than the obstacles allow.
+    pub fn clear(
+        &self,
+        few: &[[usize; 3]],
+        tool: &Tool,
+        direction: Direction,
+        dip_mm: f64,
+    ) -> Vec<[usize; 3]> {
+        let (scene, frame) = (self.scene, &self.scene.frame);
+        let sections = dipped(tool, dip_mm);
+        let may_meet =
+            |from_tip: DVec3, within: f64| may_meet(&sections, direction, from_tip, within);
+        let is_met = |from_tip: DVec3| may_meet(from_tip, 0.0);
+        let open = self.open_nearby(few, tool, direction, dip_mm);
+        let mut open: Vec<([usize; 3], DVec3)> =
+            open.into_iter().map(|v| (v, frame.center(v))).collect();
+        if open.is_empty() {
+            return Vec::new();
+        }
+        let boxes = self.boxes.get_or_init(|| Boxes::new(frame, self.solid));
+        open.retain(|(_, tip)| {
+            let may = |centre: DVec3, within: f64| may_meet(centre - *tip, within);
+            let each = &mut |v| match is_met(frame.center(v) - *tip) {
+                true => ControlFlow::Break(()),
+                false => ControlFlow::Continue(()),
+            };
+            boxes.visit(&may, each).is_continue()
+        });
+        // Most fixed points are a base plate's, out of the way of all the few.
+        let around = Aabb {
+            min: open.iter().fold(DVec3::INFINITY, |least, (_, tip)| least.min(*tip)),
+            max: open.iter().fold(DVec3::NEG_INFINITY, |most, (_, tip)| most.max(*tip)),
+        };
+        let (middle, spread) = (around.center(), around.size().length() / 2.0);
+        let fixed: Vec<(DVec3, f64, &[DVec3])> = scene
+            .groups()
+            .map(|(b, points)| (b.center(), b.size().length() / 2.0, points))
+            .filter(|(centre, within, _)| may_meet(*centre - middle, within + spread))
+            .collect();
+        open.retain(|(_, tip)| {
+            !fixed.iter().any(|(centre, within, points)| {
+                may_meet(*centre - *tip, *within) && points.iter().any(|p| is_met(*p - *tip))
+            })
+        });
+        open.into_iter().map(|(v, _)| v).collect()
+    }
+}
+
+/// Whether a nozzle of such sections may meet any point up to `within` mm from one so far from its tip.
+fn may_meet(
+    sections: &[(Section, f64)],
+    direction: Direction,
+    from_tip: DVec3,
+    within: f64,
+) -> bool {
+    let over = direction.dot(from_tip) + within;
+    if over <= 0.0 {
+        return false;
+    }
+    let aside = (from_tip.cross(direction.vec()).length() - within).max(0.0);
+    sections.iter().any(|(s, lift)| over > s.shape.lower_surface(aside) + lift)
 }
 
 #[cfg(test)]
@@ -93,7 +135,7 @@ mod tests {
     use super::*;
     use crate::access::{nozzle_map, reachable};
     use crate::base::fibonacci_sphere;
-    use crate::machine::{Section, Shape, ToolKind};
+    use crate::machine::{Shape, ToolKind};
     use crate::voxel::Frame;
 
     const FRAME: Frame = Frame { pitch: 0.5, dims: [30, 26, 24], origin: DVec3::ZERO };
@@ -132,7 +174,7 @@ mod tests {
         for d in fibonacci_sphere(24).into_iter().chain([Direction::Z, Direction::X]) {
             let all: Vec<[usize; 3]> = air.iter_ones().collect();
             let mut clear = BitGrid::new(FRAME.dims);
-            let found = clear_closely(&scene, &state, &all, &tool, d, dip);
+            let found = CloseNozzle::new(&scene, &state).clear(&all, &tool, d, dip);
             found.into_iter().for_each(|v| clear.set(v, true));
             let plane = d.image_plane();
             let is_clear = |v: [usize; 3]| {

@@ -27,7 +27,11 @@ pub fn splat(
 ) -> f64 {
     let of_voxels = match axis_of(plane.d) {
         Some(along) => splat_columns(scene, plane, least, images, along),
-        None => Arch::new().dispatch(SplatVoxels { scene, plane, least, images }),
+        None => {
+            let bricks = floors.map(|f| Bricks::that_matter(scene, plane, f));
+            let bricks = bricks.as_ref();
+            Arch::new().dispatch(SplatVoxels { scene, plane, least, bricks, images })
+        }
     };
     let fixed = SplatFixed { scene, plane, least, floors, images };
     let highest = of_voxels.max(Arch::new().dispatch(fixed));
@@ -137,11 +141,56 @@ fn splat_columns(
     highest
 }
 
+/// Voxels that are passed over together, along x, y and z: of those in a word of a row four bricks have their say.
+const BRICK: [usize; 3] = [16, 8, 8];
+
+/// Which bricks of a grid may hold an obstacle that matters.
+struct Bricks {
+    /// Words along x, bricks along y.
+    n: [usize; 2],
+    /// Of each word of a row of bricks, the voxels in those that may.
+    masks: Vec<u64>,
+}
+
+impl Bricks {
+    fn that_matter(scene: &Scene, plane: &ImagePlane, floors: &Floors) -> Bricks {
+        let dims = scene.voxels().dims();
+        let [_, ny, nz]: [usize; 3] = std::array::from_fn(|a| dims[a].div_ceil(BRICK[a]));
+        let words = dims[0].div_ceil(64);
+        let size: [f64; 3] = std::array::from_fn(|a| (BRICK[a] - 1) as f64);
+        let half = DVec3::from_array(size) * (scene.frame.pitch / 2.0);
+        let [u, v, d] = [plane.u, plane.v, plane.d].map(|axis| axis.abs().dot(half));
+        let (spread, rise) = (DVec2::new(u, v) + ROUNDING_MM, d + ROUNDING_MM);
+        let may = |brick: [usize; 3]| {
+            let first = scene.frame.center(std::array::from_fn(|a| brick[a] * BRICK[a]));
+            let middle = first + half;
+            floors.may_matter(plane.across(middle), spread, plane.height(middle) + rise)
+        };
+        let mut masks = vec![0; words * ny * nz];
+        for (i, mask) in masks.iter_mut().enumerate() {
+            let (w, y, z) = (i % words, i / words % ny, i / words / ny);
+            for k in (0..64 / BRICK[0]).filter(|k| may([w * (64 / BRICK[0]) + k, y, z])) {
+                *mask |= (!0 >> (64 - BRICK[0])) << (k * BRICK[0]);
+            }
+        }
+        Bricks { n: [words, ny], masks }
+    }
+
+    /// The masks of the words of a row of voxels.
+    #[inline(always)]
+    fn of_row(&self, y: usize, z: usize) -> &[u64] {
+        let [words, ny] = self.n;
+        &self.masks[words * (y / BRICK[1] + ny * (z / BRICK[2]))..][..words]
+    }
+}
+
 /// [`splat`] of the voxels of a scene along any direction.
 struct SplatVoxels<'a> {
     scene: &'a Scene,
     plane: &'a ImagePlane,
     least: f64,
+    /// Those that are looked at; none for all.
+    bricks: Option<&'a Bricks>,
     images: &'a mut [DepthImage],
 }
 
@@ -150,7 +199,7 @@ impl NullaryFnOnce for SplatVoxels<'_> {
 
     #[inline(always)]
     fn call(self) -> f64 {
-        let SplatVoxels { scene, plane, least, images } = self;
+        let SplatVoxels { scene, plane, least, bricks, images } = self;
         let mut highest = f64::MIN;
         let Some(((_, lattice, image), coarser)) = images.split_first_mut() else { return highest };
         // What the loop looks at stays in registers, not behind a reference that a store might
@@ -173,6 +222,10 @@ impl NullaryFnOnce for SplatVoxels<'_> {
             if top < least {
                 continue;
             }
+            let masks = bricks.map(|b| b.of_row(y, z));
+            if masks.is_some_and(|m| m.iter().all(|m| *m == 0)) {
+                continue;
+            }
             // What falls beside the widest image is asked for by none.
             let within = widest.steps_within(widest.place(across), wide_step, nx);
             let (from, end) = (within.start.max(lo), within.end.min(hi + 1));
@@ -181,7 +234,7 @@ impl NullaryFnOnce for SplatVoxels<'_> {
             }
             let last = end - 1;
             for (w, &bits) in row.iter().enumerate().take(last / 64 + 1).skip(from / 64) {
-                let mut rest = bits;
+                let mut rest = bits & masks.map_or(!0, |m| m[w]);
                 if w == from / 64 {
                     rest &= !0 << (from % 64);
                 }

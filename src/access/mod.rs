@@ -49,7 +49,7 @@ mod voxel_tool;
 
 pub use additive::{CarrierTable, supported};
 pub use close_cut::Close;
-pub use close_nozzle::clear_closely;
+pub use close_nozzle::CloseNozzle;
 pub use collateral::{Collateral, collateral};
 pub use depend::{CellSet, Cells, Demand, DependencyGraph, Reachers};
 pub use depth::{cutter_map, cutter_maps, nozzle_map};

@@ -145,6 +145,12 @@ impl Start<'_> {
         let setting = self.setting.of_next_round(&job, state.minus(&removed));
         let deep = removed.minus(spare);
         let chosen = cover(&setting, (&removed, &deep), (&large, &small), samples, ctx)?;
+        tracing::debug!(
+            before = cuts.len(),
+            large = large.len(),
+            cover = chosen.len(),
+            "fewest cuts: cover"
+        );
         let mut order: Vec<Step> = Vec::new();
         for (i, step) in large.iter().enumerate() {
             order.push((*step).clone());

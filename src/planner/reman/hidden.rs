@@ -13,7 +13,7 @@
 use super::Options;
 use super::round::deep;
 use super::setting::Setting;
-use crate::access::{Scene, clear_closely, nozzle_map, reachable};
+use crate::access::{CloseNozzle, Scene, nozzle_map, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::Tool;
 use crate::plan::Job;
@@ -127,11 +127,13 @@ impl<'a> Look<'a> {
         let wanted = added.minus(&self.setting.skin(&volumes.reused));
         let scenes: Vec<Scene> =
             self.fixed.iter().map(|f| Scene::new(frame, &volumes.reused, f)).collect();
-        let (solid, dip) = (&volumes.reused, rules.nozzle_dip_mm);
+        let close: Vec<CloseNozzle> =
+            scenes.iter().map(|s| CloseNozzle::new(s, &volumes.reused)).collect();
+        let dip = rules.nozzle_dip_mm;
         let closely = |few: BitGrid| {
             let mut few: Vec<[usize; 3]> = few.iter_ones().collect();
             let shown = |few: &Vec<[usize; 3]>, tool: &Tool, (h, d): (usize, Direction)| {
-                clear_closely(&scenes[h], solid, few, tool, d, dip).into_iter().collect()
+                close[h].clear(few, tool, d, dip).into_iter().collect()
             };
             let take = |few: &mut Vec<_>, shown: &BTreeSet<_>| few.retain(|v| !shown.contains(v));
             self.show(&mut few, Vec::is_empty, shown, take, ctx)?;

@@ -8,7 +8,7 @@
 //! Guarantees: a block's voxels are carried, clear and connected when they are laid.
 
 use super::setting::Setting;
-use crate::access::{CarrierTable, Scene, clear_closely, nozzle_map, reachable};
+use crate::access::{CarrierTable, CloseNozzle, Scene, nozzle_map, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::{HoldingMode, Tool};
 use crate::plan::Job;
@@ -25,6 +25,12 @@ const CLEAREST_WAYS: usize = 8;
 
 /// Voxels up to which exact distances are asked: with more, it is not half a voxel that is in the way.
 const MOST_CLOSELY: usize = 3000;
+
+/// Of so few no maps are asked before: they would take longer, and exact distances tell the same and more.
+const FEWEST_CLOSELY: usize = 300;
+
+/// Of so many voxels those that a nozzle does not get at past what is next to them are told before a map is made.
+const MOST_NEARBY: usize = 20_000;
 
 /// A way to print: direction, holding and nozzle.
 #[derive(Clone, Copy)]
@@ -89,22 +95,31 @@ impl Layer<'_> {
 
     /// Voxels of the core that each way lays.
     fn gains(&self, ways: &[Way], ctx: &Ctx) -> Result<Vec<usize>, Cancelled> {
+        let scenes = self.scenes();
+        let close = self.close(&scenes);
         let gain = |way: &Way| {
             ctx.check()?;
-            Ok(self.lay(*way).gain)
+            Ok(self.lay_in(*way, &close[way.holding]).gain)
         };
         ways.par_iter().map(gain).collect()
     }
 
-    /// The few ways whose nozzles stand clear at most of what is left of the core.
-    pub fn clearest<'a>(&self, ways: &[Way<'a>], ctx: &Ctx) -> Result<Vec<Way<'a>>, Cancelled> {
+    /// The few ways whose nozzles stand clear at most of what is left of the core, of those that may do so at
+    /// `least` voxels.
+    pub fn clearest<'a>(
+        &self,
+        ways: &[Way<'a>],
+        least: usize,
+        ctx: &Ctx,
+    ) -> Result<Vec<Way<'a>>, Cancelled> {
         let scenes = self.scenes();
+        let close = self.close(&scenes);
         let wanted = self.left.and(self.core);
         let clear: Vec<usize> = ways
             .par_iter()
             .map(|w| {
                 ctx.check()?;
-                Ok(self.clear(*w, &scenes[w.holding], &wanted).count())
+                Ok(self.clear(*w, &close[w.holding], &wanted, least).count())
             })
             .collect::<Result<_, Cancelled>>()?;
         Ok(descending(&clear).into_iter().take(CLEAREST_WAYS).map(|i| ways[i]).collect())
@@ -113,6 +128,7 @@ impl Layer<'_> {
     /// Where, of what is left of the core, the nozzle of any of the ways stands clear.
     pub fn clear_along_any(&self, ways: &[Way], ctx: &Ctx) -> Result<BitGrid, Cancelled> {
         let scenes = self.scenes();
+        let close = self.close(&scenes);
         let wanted = self.left.and(self.core);
         let none = || BitGrid::new(self.state.dims());
         let join = |mut any: BitGrid, clear: BitGrid| {
@@ -122,7 +138,7 @@ impl Layer<'_> {
         ways.par_iter()
             .map(|w| {
                 ctx.check()?;
-                Ok(self.clear(*w, &scenes[w.holding], &wanted))
+                Ok(self.clear(*w, &close[w.holding], &wanted, 1))
             })
             .try_reduce(none, join)
     }
@@ -130,6 +146,11 @@ impl Layer<'_> {
     /// What is in the way, in each holding.
     fn scenes(&self) -> Vec<Scene> {
         self.fixed.iter().map(|f| Scene::new(&self.job.frame, self.state, f)).collect()
+    }
+
+    /// The same, for exact questions.
+    fn close<'c>(&'c self, scenes: &'c [Scene]) -> Vec<CloseNozzle<'c>> {
+        scenes.iter().map(|s| CloseNozzle::new(s, self.state)).collect()
     }
 
     /// The block with the first of some shorter or coarser nozzles that lays nearly as much; with
@@ -151,29 +172,50 @@ impl Layer<'_> {
         Ok(best.filter(|i| gains[*i] > 0).map(|i| self.lay(ways[i])))
     }
 
-    /// Where a way's nozzle stands clear.
-    fn clear(&self, way: Way, scene: &Scene, candidates: &BitGrid) -> BitGrid {
-        let dip = self.job.rules.nozzle_dip_mm;
-        let map = nozzle_map(scene, candidates, way.tool, way.direction, dip);
-        let mut clear = reachable(&map, candidates, &self.job.frame);
-        // Along the axes the maps are exact.
-        if self.closely && !way.direction.is_grid_axis() {
-            let others = candidates.minus(&clear);
-            if others.count() <= MOST_CLOSELY {
-                let others: Vec<[usize; 3]> = others.iter_ones().collect();
-                let (d, solid) = (way.direction, self.state);
-                let closely = clear_closely(scene, solid, &others, way.tool, d, dip);
-                closely.into_iter().for_each(|v| clear.set(v, true));
-            }
+    /// Where a way's nozzle stands clear; nowhere if that is at fewer than `least` voxels for sure.
+    fn clear(&self, way: Way, close: &CloseNozzle, candidates: &BitGrid, least: usize) -> BitGrid {
+        let (tool, d, dip) = (way.tool, way.direction, self.job.rules.nozzle_dip_mm);
+        let map = |some: &BitGrid| {
+            let map = nozzle_map(close.scene(), some, tool, d, dip);
+            reachable(&map, some, &self.job.frame)
+        };
+        // Along the axes the maps are exact, and obstacles lie on the very edge of a nozzle.
+        if d.is_grid_axis() || candidates.count() > MOST_NEARBY {
+            return map(candidates);
+        }
+        let set = |of: Vec<[usize; 3]>| {
+            let mut grid = BitGrid::new(candidates.dims());
+            of.into_iter().for_each(|v| grid.set(v, true));
+            grid
+        };
+        let all: Vec<[usize; 3]> = candidates.iter_ones().collect();
+        let open = close.open_nearby(&all, tool, d, dip);
+        if open.len() < least.max(1) {
+            return set(Vec::new());
+        }
+        if self.closely && open.len() <= FEWEST_CLOSELY {
+            return set(close.clear(&open, tool, d, dip));
+        }
+        let open = set(open);
+        let mut clear = map(&open);
+        let others: Vec<[usize; 3]> = open.minus(&clear).iter_ones().collect();
+        if self.closely && others.len() <= MOST_CLOSELY {
+            let more = close.clear(&others, tool, d, dip);
+            more.into_iter().for_each(|v| clear.set(v, true));
         }
         clear
     }
 
     /// All that one way lays, from below.
     pub fn lay<'a>(&self, way: Way<'a>) -> Block<'a> {
+        let scene = Scene::new(&self.job.frame, self.state, &self.fixed[way.holding]);
+        self.lay_in(way, &CloseNozzle::new(&scene, self.state))
+    }
+
+    /// The same among what is in the way in its holding.
+    fn lay_in<'a>(&self, way: Way<'a>, close: &CloseNozzle) -> Block<'a> {
         let job = self.job;
-        let scene = Scene::new(&job.frame, self.state, &self.fixed[way.holding]);
-        let clear = self.clear(way, &scene, self.left);
+        let clear = self.clear(way, close, self.left, 1);
         let table = CarrierTable::new(way.direction, job.rules.overhang_deg);
         let mut voxels: Vec<([usize; 3], f64)> =
             clear.iter_ones().map(|v| (v, way.direction.dot(job.frame.center(v)))).collect();

@@ -93,6 +93,9 @@ const FEW_BLOCKS: f64 = 4.0;
 /// With a crumb, all that is missing so far around it is printed, mm: a bead or two.
 const WITH_CRUMB_MM: f64 = 1.5;
 
+/// So many voxels of the crumbs are asked first, all along every way, whether a nozzle gets at them.
+const FIRST_CRUMBS: usize = 16;
+
 /// Ways that are looked at closely after the coarse ranking, of the preferred and of the sampled
 /// ones: more costs time, fewer trusts a staircase of coarse voxels too much.
 const FINALISTS: usize = 3;
@@ -137,14 +140,28 @@ pub fn print_crumbs(
     let near = distance_within(&missing, WITH_CRUMB_MM / setting.job.frame.pitch);
     let ways: Vec<Way> = press.preferred.iter().chain(&press.sampled).copied().collect();
     let fixed = press.fixed();
-    // Deposits take room from nozzles and never give any.
-    let hopeless = before - press.fine(&missing, &fixed).clear_along_any(&ways, ctx)?.count();
-    if enough(before, hopeless) {
+    // Deposits take room from nozzles and never give any. A few from all over mostly tell that it is in vain.
+    let hopeless = |some: &BitGrid| -> Result<usize, Cancelled> {
+        let open = press.fine(some, &fixed).clear_along_any(&ways, ctx)?;
+        Ok(some.count() - open.count())
+    };
+    let mut in_vain = hopeless(&every(before.div_ceil(FIRST_CRUMBS), &missing))?;
+    if enough(before, in_vain) {
+        in_vain = hopeless(&missing)?;
+    }
+    if enough(before, in_vain) {
         press.print_small(&near, &ways, ctx)?;
     }
     let after = press.printing.unreached.count_and(wanted.core);
-    tracing::debug!(before, hopeless, after, "crumbs");
+    tracing::debug!(before, in_vain, after, "crumbs");
     Ok(if enough(before, after) { press.printing } else { printing })
+}
+
+/// Every so manieth voxel, the first one first.
+fn every(step: usize, all: &BitGrid) -> BitGrid {
+    let mut some = BitGrid::new(all.dims());
+    all.iter_ones().step_by(step).for_each(|v| some.set(v, true));
+    some
 }
 
 /// Whether crumbs are printed for the sake of leaving nothing.
@@ -284,7 +301,7 @@ impl<'a> Press<'_, 'a> {
                 // Too small or too tight for the coarse grid.
                 let all: Vec<Way> = self.preferred.iter().chain(&self.sampled).copied().collect();
                 let fine = self.fine(&left, &fixed);
-                best = fine.best(&fine.clearest(&all, ctx)?, ctx)?;
+                best = fine.best(&fine.clearest(&all, self.least, ctx)?, ctx)?;
             }
             let Some(block) = best.filter(|b| b.gain >= self.least) else { return Ok(()) };
             if self.wanted.at_a_glance && self.is_endless(left_over, block.gain) {
@@ -322,7 +339,7 @@ impl<'a> Press<'_, 'a> {
             let left = self.printing.unreached.and(some);
             let fixed = self.fixed();
             let fine = self.fine(&left, &fixed);
-            let Some(block) = fine.best(&fine.clearest(ways, ctx)?, ctx)? else { return Ok(()) };
+            let Some(block) = fine.best(&fine.clearest(ways, 1, ctx)?, ctx)? else { return Ok(()) };
             let block = fine.with_shorter(block, self.shorter);
             self.take(block, left, fixed);
         }
