@@ -276,17 +276,20 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
     }
     // Half a voxel: a ridge or a corner that a voxel's centre stands in, but not its far side.
     let slack = h / 2.0 + WRITTEN_MM;
-    let left = |slack| {
+    let left = |points: &[DVec3], slack| {
         let feeds = motions.iter().filter(|m| m.gait == Gait::Feed);
         let tips = feeds.take_while(|_| goes_on()).flat_map(|m| samples(m, h / 2.0));
-        unswept(&centers, &lowest, scene.tool, tips, slack)
+        unswept(points, &lowest, scene.tool, tips, slack)
     };
-    let swept = centers.len() - left(slack).len();
+    let (near, too_much) =
+        rayon::join(|| left(&centers, slack), || engagement(scene, motions, &centers, &lowest));
+    let swept = centers.len() - near.len();
     figures.coverage = swept as f64 / centers.len() as f64;
     figures.removed_mm3 = swept as f64 * scene.frame.voxel_volume();
     let mut findings = astray.findings;
-    findings.extend(engagement(scene, motions, &centers, &lowest));
-    let missed = left(scene.tolerance);
+    findings.extend(too_much);
+    // What is missed by more is missed by less.
+    let missed = left(if scene.tolerance >= slack { &near } else { &centers }, scene.tolerance);
     if missed.len() >= LEAST_LUMP {
         findings.push(lump(scene, motions, &missed));
     }
@@ -333,17 +336,29 @@ fn unswept(
     // The lowest tip of a cell may pass by what a higher one, nearer to it, takes.
     let cells = Cells::over(lowest.cells.origin, lowest.cells.end(), reach);
     let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
+    // No edge reaches below its tip.
+    let mut tops = vec![f64::NEG_INFINITY; cells.count()];
     for (i, p) in missed.iter().enumerate() {
         if let Some(c) = cells.at(plane.across(*p)) {
             waiting[c].push(i);
+            tops[c] = tops[c].max(plane.height(*p));
         }
+    }
+    if missed.is_empty() {
+        return missed;
     }
     let mut is_swept = vec![false; missed.len()];
     for tip in tips {
         let (at, z) = seen(tip);
         for c in cells.within(at - DVec2::splat(reach), at + DVec2::splat(reach)) {
+            if z > tops[c] + slack {
+                continue;
+            }
             waiting[c].retain(|i| {
                 let (uv, height) = seen(missed[*i]);
+                if z > height + slack {
+                    return true;
+                }
                 let rho = (at.distance(uv) - slack).max(0.0);
                 is_swept[*i] = z + tool.active_lower_surface(rho) <= height + slack;
                 !is_swept[*i]
@@ -392,22 +407,29 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
         }
     }
     let reach = (radius / h).floor() as i64;
-    let edge: Vec<(i64, i64, f64)> = (-reach..=reach)
-        .flat_map(|j| (-reach..=reach).map(move |i| (i, j)))
-        .map(|(i, j)| (i, j, tool.active_lower_surface((i as f64).hypot(j as f64) * h)))
-        .filter(|(_, _, z)| z.is_finite())
+    let lower = |i: i64, j: i64| tool.active_lower_surface((i as f64).hypot(j as f64) * h);
+    // Row by row the first cell along u and the heights of the edge over the tip from there on.
+    let rows: Vec<(i64, i64, Vec<f64>)> = (-reach..=reach)
+        .filter_map(|j| {
+            let first = (-reach..=reach).find(|i| lower(*i, j).is_finite())?;
+            Some((j, first, (first..=-first).map(|i| lower(i, j)).collect()))
+        })
         .collect();
+    let cells_under = rows.iter().map(|(.., row)| row.len()).sum::<usize>();
     let flat = tool.active_lower_surface(radius / 2.0) < FLAT_MM;
     let mut told = Told::new(Rule::Engagement);
     let goes_on = || scene.ctx.check().is_ok();
     for m in motions.iter().filter(|m| m.gait == Gait::Feed).take_while(|_| goes_on()) {
         if flat && m.from.is_some_and(|from| sinks_straight(&plane, from, m.to)) {
             let (uv, z) = (plane.across(m.to), plane.height(m.to));
-            let deep = |(i, j, lower): &&(i64, i64, f64)| {
+            let deep = |(i, j, lower): &(i64, i64, f64)| {
                 let c = cells.at(uv + DVec2::new(*i as f64, *j as f64) * h);
                 c.is_some_and(|c| tops[c] - z - lower > h + level)
             };
-            if 2 * edge.iter().filter(deep).count() > edge.len() && has_room(scene, m.to) {
+            let edge = rows
+                .iter()
+                .flat_map(|(j, first, row)| (*first..).zip(row).map(|(i, lower)| (i, *j, *lower)));
+            if 2 * edge.filter(deep).count() > cells_under && has_room(scene, m.to) {
                 told.tell(m.line, "the cutter goes straight down into material".into());
             }
         }
@@ -415,14 +437,23 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
         for p in samples(m, h / 2.0) {
             let (uv, z) = (plane.across(p), plane.height(p));
             let Some(c) = cells.cell_of(uv) else { continue };
-            for &(i, j, lower) in &edge {
-                let Some(at) = cells.index([c[0] + i, c[1] + j]) else { continue };
-                let top = &mut tops[at];
-                let depth = *top - z - lower;
-                if depth > 0.0 {
-                    deepest = deepest.max(depth);
-                    area += if depth > most { h * h } else { 0.0 };
-                    *top = z + lower;
+            for (j, first, row) in &rows {
+                let Some((tops, row)) = under(&cells, &mut tops, [c[0] + first, c[1] + j], row)
+                else {
+                    continue;
+                };
+                // Most passes go through air for the most part.
+                let depths = tops.iter().zip(row).map(|(top, lower)| top - z - lower);
+                if !depths.fold(false, |any, depth| any | (depth > 0.0)) {
+                    continue;
+                }
+                for (top, lower) in tops.iter_mut().zip(row) {
+                    let depth = *top - z - lower;
+                    if depth > 0.0 {
+                        deepest = deepest.max(depth);
+                        area += if depth > most { h * h } else { 0.0 };
+                        *top = z + lower;
+                    }
                 }
             }
         }
@@ -433,6 +464,22 @@ fn engagement(scene: &Scene, motions: &[Motion], centers: &[DVec3], over: &Lowes
         }
     }
     told.findings
+}
+
+/// The cells of a row from one at `[i, j]` on and what of `values` lies over them, of both what is within the grid.
+fn under<'t, 'v>(
+    cells: &Cells,
+    tops: &'t mut [f64],
+    [i, j]: [i64; 2],
+    values: &'v [f64],
+) -> Option<(&'t mut [f64], &'v [f64])> {
+    let n = cells.n.map(|n| n as i64);
+    let (from, to) = (i.max(0), (i + values.len() as i64).min(n[0]));
+    if j < 0 || j >= n[1] || from >= to {
+        return None;
+    }
+    let at = |i: i64| (i + n[0] * j) as usize;
+    Some((&mut tops[at(from)..at(to)], &values[(from - i) as usize..(to - i) as usize]))
 }
 
 /// Cells within `reach` mm of a point's cell.

@@ -92,7 +92,9 @@ impl Between<'_> {
 
 /// Whether a tip's edge comes within `slack` mm of a voxel's middle, aside and below; (u, v, height) both.
 pub(super) fn cuts(tool: &Tool, tip: DVec3, voxel: DVec3, slack: f64) -> bool {
-    tip.z <= highest(tool, voxel, tip.truncate().distance(voxel.truncate()), slack)
+    // The edge reaches nowhere below its tip.
+    tip.z <= voxel.z + slack
+        && tip.z <= highest(tool, voxel, tip.truncate().distance(voxel.truncate()), slack)
 }
 
 /// The highest tip that cuts a voxel from `rho` mm aside; −∞ from too far.

@@ -25,8 +25,34 @@ pub(crate) struct Swept {
     edge: f64,
     cells: Cells,
     /// Moves that cross each cell, lowest first.
-    lists: Vec<Vec<u32>>,
+    lists: Vec<Vec<Across>>,
     moves: Vec<[DVec3; 2]>,
+}
+
+/// What is looked at of most moves: where one lies across, and how low.
+#[derive(Clone, Copy)]
+struct Across {
+    from: DVec2,
+    way: DVec2,
+    /// 1 / length² of the way.
+    inverse: f64,
+    low: f64,
+    index: u32,
+}
+
+impl Across {
+    fn of(index: u32, [a, b]: [DVec3; 2]) -> Across {
+        let way = (b - a).truncate();
+        let inverse = 1.0 / way.length_squared().max(1e-18);
+        Across { from: a.truncate(), way, inverse, low: a.z.min(b.z), index }
+    }
+
+    /// Squared distance of a place from the way.
+    fn apart_squared(&self, at: DVec2) -> f64 {
+        let by = at - self.from;
+        let t = (by.dot(self.way) * self.inverse).clamp(0.0, 1.0);
+        (by - self.way * t).length_squared()
+    }
 }
 
 impl Swept {
@@ -46,9 +72,8 @@ impl Swept {
         for i in 0..swept.moves.len() {
             swept.list(i as u32);
         }
-        let low = |i: &u32| low(&swept.moves[*i as usize]);
         for list in &mut swept.lists {
-            list.sort_by(|i, j| low(i).total_cmp(&low(j)));
+            list.sort_by(|i, j| i.low.total_cmp(&j.low));
         }
         Some(swept)
     }
@@ -56,12 +81,13 @@ impl Swept {
     /// Appends a move to the lists of the cells it crosses.
     fn list(&mut self, i: u32) {
         let [a, b] = self.moves[i as usize];
+        let across = Across::of(i, [a, b]);
         let count = (2.0 * a.truncate().distance(b.truncate()) / CELL_MM).ceil().max(1.0);
         for k in 0..=count as usize {
             let list = self.cells.at(a.lerp(b, k as f64 / count).truncate());
             let list = list.and_then(|at| self.lists.get_mut(at));
-            if let Some(list) = list.filter(|l| l.last() != Some(&i)) {
-                list.push(i);
+            if let Some(list) = list.filter(|l| l.last().is_none_or(|m| m.index != i)) {
+                list.push(across);
             }
         }
     }
@@ -99,12 +125,13 @@ impl Swept {
         let (uv, radius) = (p.truncate(), self.end.radius());
         for at in cells {
             for m in &self.lists[at] {
-                let [a, b] = self.moves[*m as usize];
                 // No point of the end is lower than its tip, none farther out than its radius.
-                if a.z.min(b.z) - p.z >= best {
+                if m.low - p.z >= best {
                     break;
                 }
-                if apart(uv, a.truncate(), b.truncate()) - radius < best {
+                let far = radius + best;
+                if far > 0.0 && m.apart_squared(uv) < far * far {
+                    let [a, b] = self.moves[m.index as usize];
                     best = best.min(self.along(p, a, b));
                     if best <= enough {
                         return best;
@@ -156,10 +183,6 @@ impl Swept {
         }
         d0.min(d1).min(at(0.0)).min(at(1.0))
     }
-}
-
-fn low([a, b]: &[DVec3; 2]) -> f64 {
-    a.z.min(b.z)
 }
 
 /// Signed distance from `p` to an end, of an edge so long, with its tip at `tip`.

@@ -201,14 +201,18 @@ impl Stage<'_> {
         let (lo, hi) = bounds(voxels.iter().map(|p| p.truncate()));
         let cells = Cells::over(lo, hi, reach.max(1.0));
         let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
+        // No edge reaches below its tip.
+        let mut tops = vec![f64::NEG_INFINITY; cells.count()];
         for (i, p) in voxels.iter().enumerate() {
             if let Some(c) = cells.at(p.truncate()) {
                 waiting[c].push(i);
+                tops[c] = tops[c].max(p.z);
             }
         }
         for tip in self.cut_tips(moves, APART_PITCH * self.work.frame.pitch) {
             let at = tip.truncate();
-            for c in cells.within(at - reach, at + reach) {
+            let here = cells.within(at - reach, at + reach);
+            for c in here.filter(|c| tip.z <= tops[*c] + slack) {
                 waiting[c].retain(|i| !cuts(self.work.tool, tip, voxels[*i], slack));
             }
         }
