@@ -5,14 +5,21 @@ use crate::base::{Aabb, DVec3};
 ///
 /// Triangles are listed in the cells of a uniform grid that their boxes touch, so a query looks at
 /// a handful of cells. Built for queries close to the surface.
-pub struct NearestTriangle<'a> {
-    mesh: &'a TriMesh,
+pub struct NearestTriangle {
+    /// Of each triangle its corners, box and unit normal; no normal of one without area.
+    faces: Vec<Face>,
     cell: f64,
     origin: DVec3,
     dims: [usize; 3],
     /// CSR lists of triangles per cell.
     starts: Vec<u32>,
     triangles: Vec<u32>,
+}
+
+struct Face {
+    corners: [DVec3; 3],
+    within: Aabb,
+    normal: Option<DVec3>,
 }
 
 /// A point of the surface.
@@ -28,15 +35,23 @@ pub struct SurfacePoint {
 /// Cells per axis; more only costs memory once cells are smaller than triangles.
 const MOST_CELLS: f64 = 160.0;
 
-impl<'a> NearestTriangle<'a> {
+/// Boxes are passed over only where they are farther than the nearest point by more than rounding, mm.
+const ROUNDING_MM: f64 = 1e-9;
+
+impl NearestTriangle {
     /// `reach` (mm) is the largest distance at which a triangle is looked for.
-    pub fn new(mesh: &'a TriMesh, reach: f64) -> Self {
+    pub fn new(mesh: &TriMesh, reach: f64) -> Self {
         let bounds = mesh.bounds();
         let bounds = if bounds.is_empty() { Aabb::of([DVec3::ZERO]) } else { bounds };
         let cell = reach.max(bounds.size().max_element() / MOST_CELLS).max(1e-9);
         let dims = (bounds.size() / cell).floor().to_array().map(|n| n as usize + 1);
+        let face = |t: usize| {
+            let corners = mesh.corners(t);
+            let normal = mesh.area_normal(t).try_normalize();
+            Face { corners, within: Aabb::of(corners), normal }
+        };
         let mut index = NearestTriangle {
-            mesh,
+            faces: (0..mesh.triangles().len()).map(face).collect(),
             cell,
             origin: bounds.min,
             dims,
@@ -44,7 +59,7 @@ impl<'a> NearestTriangle<'a> {
             triangles: Vec::new(),
         };
         let cells_of = |index: &Self, t: usize| {
-            let b = Aabb::of(mesh.corners(t));
+            let b = index.faces[t].within;
             (index.cell_of(b.min), index.cell_of(b.max))
         };
         for t in 0..mesh.triangles().len() {
@@ -80,20 +95,29 @@ impl<'a> NearestTriangle<'a> {
 
     /// The nearest surface point within one cell (at least `reach`) of `p`; of equals the first.
     pub fn query(&self, p: DVec3) -> Option<SurfacePoint> {
-        let lo = self.cell_of(p - DVec3::splat(self.cell));
-        let hi = self.cell_of(p + DVec3::splat(self.cell));
+        self.nearer(p, f64::INFINITY)
+    }
+
+    /// The same if it is nearer than `most` mm.
+    pub fn nearer(&self, p: DVec3, most: f64) -> Option<SurfacePoint> {
+        let mut far = self.cell.min(most);
+        let (lo, hi) = (self.cell_of(p - DVec3::splat(far)), self.cell_of(p + DVec3::splat(far)));
         let mut best: Option<SurfacePoint> = None;
         for c in self.each_cell(lo, hi) {
             for &t in &self.triangles[self.starts[c] as usize..self.starts[c + 1] as usize] {
                 let t = t as usize;
-                let Some(normal) = self.mesh.area_normal(t).try_normalize() else { continue };
-                let point = closest_on_triangle(p, self.mesh.corners(t));
+                let face = &self.faces[t];
+                let reach = far + ROUNDING_MM;
+                let apart = (p.clamp(face.within.min, face.within.max) - p).length_squared();
+                let Some(normal) = face.normal.filter(|_| apart <= reach * reach) else { continue };
+                let point = closest_on_triangle(p, face.corners);
                 let distance = point.distance(p);
                 let better = best.is_none_or(|b| {
                     distance < b.distance || (distance == b.distance && t < b.triangle)
                 });
-                if better && distance <= self.cell {
+                if better && distance <= self.cell && distance < most {
                     best = Some(SurfacePoint { triangle: t, point, normal, distance });
+                    far = distance;
                 }
             }
         }

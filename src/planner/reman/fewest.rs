@@ -23,6 +23,7 @@ use crate::plan::{Action, Job, Origin, Step, StepKind};
 use crate::planner::PlanError;
 use crate::search::{WeightedSet, set_cover};
 use crate::voxel::BitGrid;
+use std::collections::BTreeSet;
 
 /// The small cuts of a run took so many voxels at most, together: each of them is looked for along
 /// every direction.
@@ -145,12 +146,13 @@ impl Start<'_> {
         let setting = self.setting.of_next_round(&job, state.minus(&removed));
         let deep = removed.minus(spare);
         let chosen = cover(&setting, (&removed, &deep), (&large, &small), samples, ctx)?;
-        tracing::debug!(
-            before = cuts.len(),
-            large = large.len(),
-            cover = chosen.len(),
-            "fewest cuts: cover"
-        );
+        let holdings: BTreeSet<usize> =
+            large.iter().map(|s| s.holding).chain(chosen.iter().map(|w| w.holding)).collect();
+        let at_best = large.len() + chosen.len() + holdings.len().saturating_sub(1);
+        if at_best >= cost(cuts) {
+            tracing::debug!(before = cuts.len(), at_best, "fewest cuts");
+            return Ok(None);
+        }
         let mut order: Vec<Step> = Vec::new();
         for (i, step) in large.iter().enumerate() {
             order.push((*step).clone());

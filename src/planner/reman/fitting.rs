@@ -19,7 +19,7 @@ use super::round::Attempt;
 use crate::access::over_cut;
 use crate::base::{DVec3, Direction};
 use crate::machine::Tool;
-use crate::mesh::NearestTriangle;
+use crate::mesh::{NearestTriangle, SurfacePoint};
 use crate::plan::{Job, Step};
 use crate::planner::PlanError;
 use crate::voxel::BitGrid;
@@ -164,8 +164,10 @@ impl Edge {
         for k in 0..STEPS {
             let apart = APART * self.radius;
             let along = (0..).map(|i| f64::from(i) * apart).take_while(|s| *s <= self.length);
-            let near = along.filter_map(|s| Some((s, surface.query(middle + self.axis * s)?)));
-            let nearest = near.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance));
+            let nearest = along.fold(None, |nearest: Option<(f64, SurfacePoint)>, s| {
+                let most = nearest.map_or(f64::INFINITY, |n| n.1.distance);
+                surface.nearer(middle + self.axis * s, most).map(|n| (s, n)).or(nearest)
+            });
             let Some((s, near)) = nearest else { return true };
             if near.distance >= self.radius - GOUGE_MM {
                 return true;
