@@ -8,7 +8,7 @@
 //! Guarantees: those of deposits. The plan misses less, or is the one before. Not guaranteed: that a crumb is worth
 //! its change of direction to whoever runs the program.
 
-use super::printing::{Printing, Wanted, print_crumbs};
+use super::printing::{Patience, Printing, Wanted, print_crumbs};
 use super::round::{Attempt, along};
 use super::{Run, followed};
 use crate::plan::Job;
@@ -39,7 +39,7 @@ pub fn with_crumbs(run: &mut Run, best: Attempt) -> Result<Attempt, PlanError> {
         core: &best.deficit,
         preferred: &along(&best.clips, &run.start.preferred),
         samples: DENSER * run.options.directions,
-        at_a_glance: false,
+        patience: Patience::Endless,
     };
     let none = Printing::before_any(state.clone(), missing.clone());
     let coarse = run.start.coarse;
@@ -99,7 +99,7 @@ mod tests {
             core: &core,
             preferred: &[Direction::Z],
             samples: 20,
-            at_a_glance: false,
+            patience: Patience::Endless,
         };
         let ctx = &Ctx::quiet();
         let usual = || print_blocks(&setting, &coarse, &wanted, &[], ctx).unwrap();

@@ -12,7 +12,7 @@
 //! is hidden, or lies against what is reused has none.
 
 use super::cutting::{Cuts, cut_blocks};
-use super::printing::{Wanted, print_again};
+use super::printing::{Patience, Wanted, print_again};
 use super::reach::within_reach;
 use super::round::{Attempt, all_of};
 use super::{Options, Run, Start};
@@ -131,7 +131,7 @@ impl Start<'_> {
             core: added,
             preferred: &[Direction::Z],
             samples,
-            at_a_glance: false,
+            patience: Patience::Endless,
         };
         let stock = &plain.stock;
         let added = all_of(job, turns.deposits).or(shell);

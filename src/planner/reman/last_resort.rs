@@ -18,7 +18,8 @@
 use super::clip::Clip;
 use super::cutting::{Cuts, cut_blocks};
 use super::printing::{
-    OnSupports, Printing, Wanted, leaves_none, print_blocks, print_crumbs, print_on_supports,
+    OnSupports, Patience, Printing, Wanted, leaves_none, print_blocks, print_crumbs,
+    print_on_supports,
 };
 use super::reach::within_reach;
 use super::reasons::open_below;
@@ -172,10 +173,15 @@ fn rounds(
     let (mut left, mut rises) = (usize::MAX, 0);
     for round in 0..=AGAIN {
         let on = supports.then_some(care.of_supports());
-        let made = start.finished(under, stock, on, &before, options, ctx)?;
+        let best = better.as_ref().or(than);
+        let patience = best.map_or(Patience::Endless, |b| Patience::UpTo(b.left()));
+        let with = (on, patience);
+        let Some(made) = start.finished(under, stock, with, &before, options, ctx)? else {
+            tracing::debug!(supports, "last resort given up");
+            break;
+        };
         tracing::debug!(supports, "last resort");
         made.tell("last resort", round);
-        let best = better.as_ref().or(than);
         let is_worse = best.is_some_and(|b| made.left() > b.left()) && !few_crumbs(&made, job);
         rises = if made.left() > left { rises + 1 } else { 0 };
         left = made.left();
@@ -306,16 +312,16 @@ impl Start<'_> {
 
     /// From a stock: deposits on supports, none of which stands where they are to be avoided, cuts
     /// of what stands outside the target, those of a round before first, and deposits of what is
-    /// still missing.
+    /// still missing. None where patience with the first deposits was lost.
     fn finished(
         &self,
         under: &UnderPlanes,
         stock: &Stock,
-        on: Option<OnSupports>,
+        (on, patience): (Option<OnSupports>, Patience),
         before: &[Step],
         options: &Options,
         ctx: &Ctx,
-    ) -> Result<Attempt, PlanError> {
+    ) -> Result<Option<Attempt>, PlanError> {
         let setting = self.setting;
         let skin = setting.skin(&under.volumes.reused);
         let (_, added) = deep(setting, &under.volumes);
@@ -327,14 +333,17 @@ impl Start<'_> {
             core: &added.minus(&skin),
             preferred: &preferred,
             samples: options.directions,
-            at_a_glance: false,
+            patience,
         };
         let printing = match on {
             Some(on) => print_on_supports(setting, self.coarse, &wanted, on, ctx)?,
             None => printed(setting, self.coarse, &wanted, Mending::Some, ctx)?,
         };
+        if printing.was_given_up {
+            return Ok(None);
+        }
         let after = (stock.cuts.clone(), stock.cuts.len(), stock.state.clone());
-        self.ended(under, after, (printing, wanted.core), before, options, ctx)
+        self.ended(under, after, (printing, wanted.core), before, options, ctx).map(Some)
     }
 
     /// After some steps (so many of them cuts of the stock, and what those leave) and what is printed next: cuts
@@ -365,7 +374,7 @@ impl Start<'_> {
             core,
             preferred: &along(&under.clips, &self.preferred),
             samples,
-            at_a_glance: false,
+            patience: Patience::Endless,
         };
         let last = print_blocks(&next, self.coarse, &still, &[], ctx)?;
         let last = print_crumbs(&next, self.coarse, &still, last, leaves_none, ctx)?;

@@ -67,6 +67,7 @@ mod close;
 mod coarse;
 mod crumbs;
 mod compared;
+mod cone;
 mod cutting;
 mod fewest;
 mod finish;

@@ -25,9 +25,10 @@
 //! within the tolerance of material given up is cut with it or counts as left. Not guaranteed: that the pits are
 //! the smallest, or their order the best.
 
+use super::cone::{Brick, Cone};
 use super::cutting::cut_along;
 use super::laying::{Way, ways_along};
-use super::printing::{Wanted, leaves_none, print_blocks, print_crumbs};
+use super::printing::{Patience, Wanted, leaves_none, print_blocks, print_crumbs};
 use super::round::Attempt;
 use super::setting::Setting;
 use super::{Run, Start, followed};
@@ -440,10 +441,7 @@ impl<'s, 'a> Digging<'s, 'a> {
         let scale = (frame.pitch / self.start.setting.job.frame.pitch).powi(3);
         let old = coarse.most(&self.now.volumes.reused);
         let solid = coarse.most(&self.state);
-        let cells: Vec<(DVec3, f64)> = solid
-            .iter_ones()
-            .map(|v| (frame.center(v), if old.get(v) { scale } else { PRINTED_WEIGHT * scale }))
-            .collect();
+        let bricks = Brick::all_of(&solid, &old, frame);
         let of_patch = |solid: &mut BitGrid, p: &Patch| {
             ctx.check()?;
             let cost = |(way, carriers): (&Way, &CarrierTable)| {
@@ -451,11 +449,9 @@ impl<'s, 'a> Digging<'s, 'a> {
                 if !self.is_carried(p, d, carriers, solid) {
                     return f64::INFINITY;
                 }
-                let in_pit = |q: DVec3| {
-                    let up = d.dot(q - p.middle) + p.radius;
-                    up > 0.0 && (q - p.middle).cross(d.vec()).length() <= p.radius + up * opening
-                };
-                cells.iter().filter(|(q, _)| in_pit(*q)).map(|(_, w)| w).sum()
+                let cone = Cone { from: p.middle, radius: p.radius, along: d, opening };
+                let [old, printed] = cone.holds(&bricks).map(|n| n as f64);
+                (old + PRINTED_WEIGHT * printed) * scale
             };
             Ok(self.ways.iter().zip(&self.carriers).map(cost).collect())
         };
@@ -582,7 +578,7 @@ impl<'s, 'a> Digging<'s, 'a> {
             core: &setting.beyond_skin(&added, &volumes.reused),
             preferred: &preferred,
             samples: 0,
-            at_a_glance: false,
+            patience: Patience::Endless,
         };
         let printing = print_blocks(&next, coarse, &wanted, &[], ctx)?;
         let printing = print_crumbs(&next, coarse, &wanted, printing, leaves_none, ctx)?;

@@ -31,6 +31,8 @@ pub struct Printing {
     pub unreached: BitGrid,
     /// What each block would have had, had all before it left that free.
     pub shares: Vec<Share>,
+    /// Whether patience was lost while much was left.
+    pub was_given_up: bool,
     /// The holding in use and its fixed points: it stays as it began until another takes its place.
     held: Option<(usize, Vec<DVec3>)>,
 }
@@ -38,7 +40,14 @@ pub struct Printing {
 impl Printing {
     /// Nothing printed yet: what stands, and what is missing.
     pub fn before_any(state: BitGrid, missing: BitGrid) -> Printing {
-        Printing { steps: Vec::new(), state, unreached: missing, shares: Vec::new(), held: None }
+        Printing {
+            steps: Vec::new(),
+            state,
+            unreached: missing,
+            shares: Vec::new(),
+            was_given_up: false,
+            held: None,
+        }
     }
 }
 
@@ -53,8 +62,32 @@ pub struct Wanted<'w> {
     pub preferred: &'w [Direction],
     /// Sampled directions per hemisphere.
     pub samples: usize,
-    /// Whether to stop where blocks lay little of much that is left.
-    pub at_a_glance: bool,
+    pub patience: Patience,
+}
+
+/// When blocks that lay little of much that is left are no longer looked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Patience {
+    /// Never.
+    Endless,
+    /// When fifty like one would not bring what is left of the core down to so many voxels: a plan is known that leaves
+    /// no more.
+    UpTo(usize),
+    /// When more is left than the rules allow and ten like one are wanted: how much is left is told from how much is.
+    AtAGlance,
+}
+
+impl Patience {
+    /// Whether it is lost after a block, of what is `left` over and `allowed` by the rules, lays so many.
+    fn is_lost(self, left: usize, allowed: f64, gain: usize) -> bool {
+        match self {
+            Patience::Endless => false,
+            Patience::UpTo(known) => left > known.saturating_add(MANY_BLOCKS * gain),
+            Patience::AtAGlance => {
+                left as f64 > allowed + gain as f64 && (gain as f64) < LITTLE_SHARE * left as f64
+            }
+        }
+    }
 }
 
 /// A part of what is wanted that is left free until the rest is printed, then printed along one
@@ -84,6 +117,9 @@ const LEAST_AHEAD_MM3: f64 = 0.8;
 /// A block that lays less than this share of what is left is little of it: half a dozen more
 /// like it would leave half.
 const LITTLE_SHARE: f64 = 0.1;
+
+/// So many blocks are more than anybody wants.
+const MANY_BLOCKS: usize = 50;
 
 /// Share of the target that may be missing for blocks as small as what is missing; of small parts
 /// no more than so many blocks of the usual least size.
@@ -132,7 +168,7 @@ pub fn print_crumbs(
     let before = missing.count();
     let share = MOST_CRUMBS * setting.job.target.count() as f64;
     let most = share.max(FEW_BLOCKS * LEAST_MM3 / setting.job.frame.voxel_volume());
-    if before == 0 || before as f64 > most || wanted.at_a_glance {
+    if before == 0 || before as f64 > most || wanted.patience == Patience::AtAGlance {
         return Ok(printing);
     }
     let Some(mut press) = Press::new(setting, coarse, wanted) else { return Ok(printing) };
@@ -304,7 +340,9 @@ impl<'a> Press<'_, 'a> {
                 best = fine.best(&fine.clearest(&all, self.least, ctx)?, ctx)?;
             }
             let Some(block) = best.filter(|b| b.gain >= self.least) else { return Ok(()) };
-            if self.wanted.at_a_glance && self.is_endless(left_over, block.gain) {
+            let allowed = self.allowed();
+            if self.wanted.patience.is_lost(left_over, allowed, block.gain) {
+                self.printing.was_given_up = true;
                 return Ok(());
             }
             let block = self.fine(&left, &fixed).with_shorter(block, self.shorter);
@@ -312,11 +350,10 @@ impl<'a> Press<'_, 'a> {
         }
     }
 
-    /// Whether more is left than the rules allow and blocks like this one hardly change that.
-    fn is_endless(&self, left_over: usize, gain: usize) -> bool {
+    /// Voxels that the rules allow to be off.
+    fn allowed(&self) -> f64 {
         let job = self.setting.job;
-        let allowed = job.rules.deviation * job.target.count() as f64;
-        left_over as f64 > allowed + gain as f64 && (gain as f64) < LITTLE_SHARE * left_over as f64
+        job.rules.deviation * job.target.count() as f64
     }
 
     /// Small blocks among what is to be printed before all else.

@@ -3,7 +3,7 @@
 use super::clip::Clip;
 use super::coarse::Coarse;
 use super::cutting::{Cuts, cut_blocks};
-use super::printing::{Printing, Share, Wanted, leaves_none, print_blocks, print_crumbs};
+use super::printing::{Patience, Printing, Share, Wanted, leaves_none, print_blocks, print_crumbs};
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Standing, Start};
@@ -186,7 +186,10 @@ pub fn attempt(
         core: &added.minus(&skin),
         preferred: &along,
         samples: options.directions,
-        at_a_glance: mending == Mending::Glance,
+        patience: match mending {
+            Mending::Glance => Patience::AtAGlance,
+            Mending::None | Mending::Some => Patience::Endless,
+        },
     };
     let printing = printed(setting, coarse, &wanted, mending, ctx)?;
     let deficit = printing.unreached.minus(&skin);
