@@ -178,6 +178,13 @@ impl Placing<'_> {
         let all_asked_for = self.config.setup_candidates.is_some();
         let is_enough = |best: &Made| !all_asked_for && best.is_enough();
         if is_enough(&best) {
+            if best.standing().left_mm3 > 0.0 {
+                best.notes.push(format!(
+                    "Other placements of the target may leave less: --setup-candidates {} plans the \
+                     best of them as well, each in about the time of this one.",
+                    places.len()
+                ));
+            }
             return Ok(best);
         }
         let rest: Vec<usize> = if all_asked_for {

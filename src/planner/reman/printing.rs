@@ -515,3 +515,22 @@ fn deposit(block: Block, number: usize, frame: &Frame) -> Step {
         origin: Origin { plane: Some(plane), action: None },
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patience_is_lost_where_many_such_blocks_would_not_do() {
+        let is_lost = |p: Patience, left, gain| p.is_lost(left, 100.0, gain);
+        assert!(!is_lost(Patience::Endless, 1_000_000, 1));
+        // Fifty like it bring it down to what the known plan leaves, or just not.
+        assert!(!is_lost(Patience::UpTo(1000), 6000, 100));
+        assert!(is_lost(Patience::UpTo(1000), 6001, 100));
+        assert!(!is_lost(Patience::UpTo(usize::MAX), 6001, 100));
+        assert!(is_lost(Patience::AtAGlance, 1001, 100));
+        assert!(!is_lost(Patience::AtAGlance, 1000, 100));
+        // What the rules allow may be left.
+        assert!(!is_lost(Patience::AtAGlance, 100, 1));
+    }
+}

@@ -199,9 +199,8 @@ impl Stage<'_> {
         }
         let reach = self.work.tool.active_radius() + slack;
         let (lo, hi) = bounds(voxels.iter().map(|p| p.truncate()));
-        let cells = Cells::over(lo, hi, reach.max(1.0));
+        let cells = Cells::over(lo - reach, hi + reach, reach.max(1.0));
         let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
-        // No edge reaches below its tip.
         let mut tops = vec![f64::NEG_INFINITY; cells.count()];
         for (i, p) in voxels.iter().enumerate() {
             if let Some(c) = cells.at(p.truncate()) {
@@ -209,13 +208,30 @@ impl Stage<'_> {
                 tops[c] = tops[c].max(p.z);
             }
         }
+        // The edge reaches from a tip's cell to those beside it, and nowhere below the tip.
+        let around = |c: usize| {
+            let [i, j] = [c % cells.n[0], c / cells.n[0]].map(|x| x as i64);
+            let beside = (-1..=1).flat_map(|b| (-1..=1).map(move |a| [a, b]));
+            beside.filter_map(move |[a, b]| cells.index([i + a, j + b]))
+        };
+        let highest = |c: usize| around(c).map(|n| tops[n]).fold(f64::NEG_INFINITY, f64::max);
+        let highest: Vec<f64> = (0..cells.count()).map(highest).collect();
+        let mut tips: Vec<Vec<DVec3>> = vec![Vec::new(); cells.count()];
         for tip in self.cut_tips(moves, APART_PITCH * self.work.frame.pitch) {
-            let at = tip.truncate();
-            let here = cells.within(at - reach, at + reach);
-            for c in here.filter(|c| tip.z <= tops[*c] + slack) {
-                waiting[c].retain(|i| !cuts(self.work.tool, tip, voxels[*i], slack));
-            }
+            let at = cells.at(tip.truncate()).filter(|c| tip.z <= highest[*c] + slack);
+            at.into_iter().for_each(|c| tips[c].push(tip));
         }
+        waiting.par_iter_mut().enumerate().filter(|(_, w)| !w.is_empty()).for_each(
+            |(c, waiting)| {
+                let low = |tip: &&DVec3| tip.z <= tops[c] + slack;
+                for tip in around(c).flat_map(|n| &tips[n]).filter(low) {
+                    waiting.retain(|i| !cuts(self.work.tool, *tip, voxels[*i], slack));
+                    if waiting.is_empty() {
+                        return;
+                    }
+                }
+            },
+        );
         let mut left: Vec<usize> = waiting.into_iter().flatten().collect();
         left.sort_unstable();
         left.into_iter().map(|i| voxels[i]).collect()
