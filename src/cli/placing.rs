@@ -7,9 +7,9 @@
 //! ways of putting the target on the table, its file's first; those from which a first over-fill misses
 //! most come last. They are planned until a search ends within δ of the target. Asked for none in
 //! particular, the others have a say only where the plan of the first keeps little of what both parts
-//! have in common there, or leaves more than the rules allow: each is then looked at on a coarse grid,
-//! and of those that promise more, the most promising first, at most two are planned as well, until
-//! one does neither.
+//! have in common there, or leaves anything: each is then looked at on a coarse grid, and of those that
+//! promise more (of all, where the first leaves more than the rules allow), the most promising first, at
+//! most two are planned as well, or one where the first leaves no more than the rules allow, until one does neither.
 //!
 //! Guarantees: the same choice at any thread count; of plans made on the job's grid the best is
 //! kept. Not guaranteed: that no other placement has a better plan. Millimetres.
@@ -31,6 +31,10 @@ use hmplan::planner::{hybrid, reman};
 /// those of other placements: that would take twice as long. Of the twelve
 /// parts of W2V Table 1 one keeps less (R_F / R_V of Holder: 0.48).
 const ENOUGH_SHARE: f64 = 0.5;
+
+/// What a plan of another placement may give up more to leave nothing where the first leaves little, as a share of
+/// the target.
+const COMPLETION_SHARE: f64 = 0.05;
 
 /// Placements planned after the first where none keeps enough: each takes as long as the first.
 const MOST_MORE: usize = 2;
@@ -129,9 +133,17 @@ impl Made {
         self.planned.standing
     }
 
-    /// Whether it leaves no more than the rules allow and keeps [`ENOUGH_SHARE`].
+    /// Whether it leaves nothing and keeps [`ENOUGH_SHARE`].
     fn is_enough(&self) -> bool {
-        self.standing().class < 2 && self.keeps_enough()
+        self.standing().class == 0 && self.keeps_enough()
+    }
+
+    /// Whether it ranks higher than another plan; one that leaves nothing above one that leaves little only as
+    /// long as it gives up no more than [`COMPLETION_SHARE`] for that, or loses less.
+    fn is_worth_more_than(&self, other: &Made) -> bool {
+        let job = &self.prepared.job;
+        let target_mm3 = job.target.count() as f64 * job.frame.voxel_volume();
+        ranks_higher(&self.standing(), &other.standing(), COMPLETION_SHARE * target_mm3)
     }
 
     fn keeps_enough(&self) -> bool {
@@ -178,13 +190,6 @@ impl Placing<'_> {
         let all_asked_for = self.config.setup_candidates.is_some();
         let is_enough = |best: &Made| !all_asked_for && best.is_enough();
         if is_enough(&best) {
-            if best.standing().left_mm3 > 0.0 {
-                best.notes.push(format!(
-                    "Other placements of the target may leave less: --setup-candidates {} plans the \
-                     best of them as well, each in about the time of this one.",
-                    places.len()
-                ));
-            }
             return Ok(best);
         }
         let rest: Vec<usize> = if all_asked_for {
@@ -199,7 +204,7 @@ impl Placing<'_> {
                 lines.push(told(i, &standing, " at a glance"));
                 glances.push((standing.loss_mm3(), i));
             }
-            promising(glances, best.standing().class == 2)
+            promising(glances, best.standing().class)
         };
         for i in rest {
             if self.ctx.out_of_time() {
@@ -208,7 +213,11 @@ impl Placing<'_> {
             }
             let made = self.plan_at(&places[i])?;
             lines.push(told(i, &made.standing(), ""));
-            if made.standing() < best.standing() {
+            let is_better = match all_asked_for {
+                true => made.standing() < best.standing(),
+                false => made.is_worth_more_than(&best),
+            };
+            if is_better {
                 best = made;
             }
             if is_enough(&best) {
@@ -317,13 +326,22 @@ impl Placing<'_> {
     }
 }
 
-/// Of the placements' losses at a glance those to plan after the first, the least first: where that one `fails`
-/// its glance did not show why, otherwise they have to promise more than it by the same measure.
-fn promising(mut glances: Vec<(f64, usize)>, fails: bool) -> Vec<usize> {
+/// Whether a plan ranks higher than another, where leaving nothing at all is worth so many mm³ given up.
+fn ranks_higher(one: &reman::Standing, other: &reman::Standing, worth_mm3: f64) -> bool {
+    let completes = (one.class, other.class) == (0, 1);
+    let is_dear = one.given_up_mm3 > other.given_up_mm3 + worth_mm3;
+    if completes && is_dear { one.loss_mm3() < other.loss_mm3() } else { one < other }
+}
+
+/// Of the placements' losses at a glance those to plan after the first, whose plan is of a class, the least first:
+/// where that one fails its glance did not show why, otherwise they have to promise more than it by the same
+/// measure. Where it leaves little, one more is enough.
+fn promising(mut glances: Vec<(f64, usize)>, class: u8) -> Vec<usize> {
     let first = glances.first().map_or(0.0, |g| g.0);
-    glances.retain(|g| g.1 > 0 && (fails || g.0 < first));
+    glances.retain(|g| g.1 > 0 && (class == 2 || g.0 < first));
     glances.sort_by(|a, b| a.0.total_cmp(&b.0));
-    glances.into_iter().take(MOST_MORE).map(|(_, i)| i).collect()
+    let most = if class == 1 { 1 } else { MOST_MORE };
+    glances.into_iter().take(most).map(|(_, i)| i).collect()
 }
 
 /// Which axis of its file a part has up: "-x".
@@ -425,11 +443,29 @@ mod tests {
     #[test]
     fn after_a_plan_that_fails_others_have_a_turn_whatever_they_promise() {
         let glances = [5.0, 9.0, 4.0, 7.0, 3.0].into_iter().zip(0..).collect::<Vec<_>>();
-        assert_eq!(promising(glances.clone(), false), [4, 2]);
-        assert_eq!(promising(glances[..2].to_vec(), false), [0; 0]);
-        assert_eq!(promising(glances[..2].to_vec(), true), [1]);
-        assert_eq!(promising(glances, true), [4, 2]);
-        assert_eq!(promising(Vec::new(), true), [0; 0]);
+        assert_eq!(promising(glances.clone(), 0), [4, 2]);
+        assert_eq!(promising(glances.clone(), 1), [4]);
+        assert_eq!(promising(glances[..2].to_vec(), 0), [0; 0]);
+        assert_eq!(promising(glances[..2].to_vec(), 2), [1]);
+        assert_eq!(promising(glances, 2), [4, 2]);
+        assert_eq!(promising(Vec::new(), 2), [0; 0]);
+    }
+
+    #[test]
+    fn leaving_nothing_is_worth_some_of_the_target_not_most_of_it() {
+        let standing = |class: u8, given_up_mm3: f64, left_mm3: f64| reman::Standing {
+            class,
+            given_up_mm3,
+            left_mm3,
+        };
+        let (little, none) = (standing(1, 100.0, 7.0), |given_up| standing(0, given_up, 0.0));
+        assert!(ranks_higher(&none(150.0), &little, 50.0));
+        assert!(!ranks_higher(&none(171.0), &little, 50.0));
+        // It loses less all the same.
+        assert!(ranks_higher(&none(160.0), &little, 50.0));
+        assert!(ranks_higher(&none(900.0), &standing(2, 0.0, 80.0), 50.0));
+        assert!(ranks_higher(&standing(1, 90.0, 7.0), &little, 50.0));
+        assert!(!ranks_higher(&little, &none(900.0), 50.0));
     }
 
     #[test]
