@@ -32,10 +32,6 @@ use hmplan::planner::{hybrid, reman};
 /// parts of W2V Table 1 one keeps less (R_F / R_V of Holder: 0.48).
 const ENOUGH_SHARE: f64 = 0.5;
 
-/// What a plan of another placement may give up more to leave nothing where the first leaves little, as a share of
-/// the target.
-const COMPLETION_SHARE: f64 = 0.05;
-
 /// Placements planned after the first where none keeps enough: each takes as long as the first.
 const MOST_MORE: usize = 2;
 
@@ -139,11 +135,11 @@ impl Made {
     }
 
     /// Whether it ranks higher than another plan; one that leaves nothing above one that leaves little only as
-    /// long as it gives up no more than [`COMPLETION_SHARE`] for that, or loses less.
+    /// long as it gives up no more than [`reman::COMPLETION_SHARE`] for that, or loses less.
     fn is_worth_more_than(&self, other: &Made) -> bool {
         let job = &self.prepared.job;
         let target_mm3 = job.target.count() as f64 * job.frame.voxel_volume();
-        ranks_higher(&self.standing(), &other.standing(), COMPLETION_SHARE * target_mm3)
+        ranks_higher(&self.standing(), &other.standing(), reman::COMPLETION_SHARE * target_mm3)
     }
 
     fn keeps_enough(&self) -> bool {

@@ -26,7 +26,7 @@ const CLEAREST_WAYS: usize = 8;
 /// Voxels up to which exact distances are asked: with more, it is not half a voxel that is in the way.
 const MOST_CLOSELY: usize = 3000;
 
-/// Of so few no maps are asked before: they would take longer, and exact distances tell the same and more.
+/// Of so few voxels no maps are asked before: they would take longer, and exact distances tell the same and more.
 const FEWEST_CLOSELY: usize = 300;
 
 /// Of so many voxels those that a nozzle does not get at past what is next to them are told before a map is made.

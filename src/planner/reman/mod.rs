@@ -121,6 +121,7 @@ use printed_first::{Leaves, glimpse, printed_first};
 use report::Clock;
 pub use report::Report;
 use roughing::roughed;
+pub use round::COMPLETION_SHARE;
 use round::{Attempt, RESIDUAL_WEIGHT, deep, volumes};
 use setting::Setting;
 use std::cmp::Ordering;

@@ -22,7 +22,7 @@ const MENDING_VOXELS: usize = 400_000;
 pub const RESIDUAL_WEIGHT: usize = 10;
 
 /// Share of the target that may be given up to leave nothing at all.
-const COMPLETION_SHARE: f64 = 0.05;
+pub const COMPLETION_SHARE: f64 = 0.05;
 
 /// One round: planes, and the blocks made under them.
 #[derive(Clone)]
