@@ -128,7 +128,11 @@ fn resorted(
 
 /// An attempt and, after all its steps, cuts of what it leaves standing by all tools and exact distances,
 /// and deposits of what those open; itself where that leaves no less.
-fn closely_cut(run: &mut Run, under: &UnderPlanes, best: Attempt) -> Result<Attempt, PlanError> {
+pub fn closely_cut(
+    run: &mut Run,
+    under: &UnderPlanes,
+    best: Attempt,
+) -> Result<Attempt, PlanError> {
     if best.excess.count() == best.below.count() || run.ctx.out_of_time() {
         return Ok(best);
     }
@@ -153,6 +157,22 @@ pub fn on_supports(
 ) -> Result<Attempt, PlanError> {
     let stock = start.stock_under_planes(under, options, ctx)?;
     let made = rounds(start, (under, &stock), true, None, (options, ctx))?;
+    made.ok_or(PlanError::Cancelled)
+}
+
+/// What comes of all cuts made first and then deposits on supports, nothing given up. The setting has the tools of
+/// the last resort.
+pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt, PlanError> {
+    let setting = start.setting;
+    let under = UnderPlanes::of(setting.job, Vec::new());
+    let (deep, _) = deep(setting, &under.volumes);
+    let removable = &under.volumes.removed;
+    let cuts = Cuts { removable, deep: &deep, samples: options.directions, before: &[] };
+    let cutting = cut_blocks(setting, start.coarse, &cuts, ctx)?;
+    let stock = Stock { cuts: cutting.steps, state: cutting.state };
+    let care = Care::none(setting.job);
+    let with = (Some(care.of_supports()), Patience::Endless);
+    let made = start.finished(&under, &stock, with, &[], options, ctx)?;
     made.ok_or(PlanError::Cancelled)
 }
 

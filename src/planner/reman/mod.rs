@@ -39,8 +39,8 @@
 //! - Where global planes leave more than the rules allow and give something up, and supports would not
 //!   mend that, all is printed on the part as it is, before any cut (`printed_first`).
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
-//! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`); of a worn
-//!   part, of which little is to be cut, all is planned that way where planes give up much.
+//! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`). Where planes
+//!   give up much, all is planned that way with nothing given up at first (`keeping`).
 //! - What a cutter has no room for beside the surfaces is left to a slimmer one (`fitting`).
 //! - A long cut by a slender cutter is roughed with a stouter one first (`roughing`).
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
@@ -75,6 +75,7 @@ mod fitting;
 mod glance;
 mod global;
 mod hidden;
+mod keeping;
 mod last_resort;
 mod laying;
 mod local;
@@ -113,6 +114,7 @@ use fewest::with_fewest_cuts;
 use finish::finished;
 use fitting::fitted;
 use global::{choose, global_route, most_promising};
+use keeping::keeping_more;
 use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
 use loose::first_cut;
@@ -222,13 +224,6 @@ const MENDABLE_SHARE: f64 = 0.02;
 /// Voxels that the plan under global planes prints, above which no local planes are looked for:
 /// every trial prints about as many again, which takes a minute there.
 const LOCAL_VOXELS: usize = 400_000;
-
-/// Share of the target that a complete plan gives up for another to be looked for that keeps it.
-const KEEPING_SHARE: f64 = 0.05;
-
-/// Share of the target that is to be cut from a worn part at most. Of others much more has to go, and
-/// printing before it went left something on each of four tried.
-const WORN_SHARE: f64 = 0.05;
 
 /// What every route starts from.
 struct Start<'a> {
@@ -418,7 +413,7 @@ fn one_round(
     if options.finish_mm > 0.0 {
         best = finished(&mut run, best)?;
     }
-    best = with_pits(&mut run, best)?;
+    best = with_pits(&mut run, best, None)?;
     best = with_crumbs(&mut run, best)?;
     if options.finish_mm == 0.0
         && let Some(made) = keeping_more(&mut run, &best)?
@@ -433,31 +428,6 @@ fn one_round(
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;
     Ok((best, report))
-}
-
-/// Where a complete plan for a worn part, one of which little is to be cut, gives up much: all printed on
-/// the part as it is, with pits for what that misses, if it keeps more.
-fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, PlanError> {
-    let job = run.start.setting.job;
-    let target = job.target.count() as f64;
-    let given_up = job.ideal_reuse().count().saturating_sub(best.volumes.reused.count()) as f64;
-    let is_worn = job.initial.minus(&job.target).count() as f64 <= WORN_SHARE * target;
-    let is_worth_it = is_worn && given_up > KEEPING_SHARE * target && run.options.supports;
-    if !is_worth_it || !is_complete(best, job) || run.ctx.out_of_time() {
-        return Ok(None);
-    }
-    let Some(made) = printed_first(run)?.filter(|m| m.is_valid(job)) else { return Ok(None) };
-    let notes = std::mem::take(&mut run.report.notes);
-    let made = with_fewest_cuts(run, made)?;
-    let made = with_pits(run, made)?;
-    let keeps_more = made.rank(job) < best.rank(job);
-    // Of two plans with pits the notes tell of the one that is made.
-    if keeps_more {
-        run.report.notes.splice(0..0, notes);
-    } else {
-        run.report.notes = notes;
-    }
-    Ok(keeps_more.then_some(made))
 }
 
 /// Attempts, the best first: with global planes, and with local ones where those gave up much or left

@@ -14,6 +14,9 @@
 //! made once more alone. In the end all is made again with those of one axis together, which takes fewer
 //! blocks.
 //!
+//! Where pits are to outdo a complete plan, they may give up all that it does, and what nothing carries straight up is
+//! opened from above and printed on supports, which are cut away before what is still missing is printed.
+//!
 //! This is a local plane (W2V Sec. 4.2) bent into a cone: a plane through a patch in a crease gives up
 //! a slice of the part, a pit a few beads, and mostly of what was printed.
 //!
@@ -26,12 +29,15 @@
 //! the smallest, or their order the best.
 
 use super::cone::{Brick, Cone};
-use super::cutting::cut_along;
+use super::cutting::{Cuts, cut_along, cut_blocks};
 use super::laying::{Way, ways_along};
-use super::printing::{Patience, Wanted, leaves_none, print_blocks, print_crumbs};
+use super::printing::{
+    OnSupports, Patience, Printing, Wanted, leaves_none, print_blocks, print_crumbs,
+    print_on_supports,
+};
 use super::round::Attempt;
 use super::setting::Setting;
-use super::{Run, Start, followed};
+use super::{Options, Run, Start, followed};
 use crate::access::CarrierTable;
 use crate::base::{Ctx, DVec2, DVec3, Direction};
 use crate::plan::Job;
@@ -75,6 +81,10 @@ const PITS_SHARE: f64 = 0.2;
 /// Share of the target that a plan with fewer pits may give up more.
 const MORE_SHARE: f64 = 2e-3;
 
+/// The same where they are made to outdo a complete plan: of those there are many, along ways for which the part is turned
+/// over again and again.
+const MORE_SHARE_OF_MANY: f64 = 0.03;
+
 /// Patches nearer each other than this are one that was tried before, mm.
 const SAME_PLACE_MM: f64 = 1.0;
 
@@ -94,7 +104,13 @@ struct Pit {
 }
 
 /// The plan with pits for what it misses, where they leave less.
-pub fn with_pits(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> {
+///
+/// `rival` is what a complete plan keeps, where one is known: then pits may give up all that it does.
+pub fn with_pits(
+    run: &mut Run,
+    plain: Attempt,
+    rival: Option<usize>,
+) -> Result<Attempt, PlanError> {
     let job = run.start.setting.job;
     let within = plain.left() as f64 <= WITHIN * job.rules.deviation * job.target.count() as f64;
     if plain.deficit.is_empty() || !within {
@@ -103,10 +119,12 @@ pub fn with_pits(run: &mut Run, plain: Attempt) -> Result<Attempt, PlanError> {
     let setting = run.start.setting.with_last_resort();
     let start = run.start.in_setting(&setting);
     let kept = plain.volumes.reused.count();
-    let (mut best, pits) = dug(&start, plain.clone(), &[], run.ctx)?;
+    let terms = Terms { rival, options: run.options };
+    let (mut best, pits) = dug(&start, plain.clone(), &[], terms, run.ctx)?;
     if pits.len() > along_each(&pits).len() {
-        let (again, _) = dug(&start, plain, &pits, run.ctx)?;
-        let more = (MORE_SHARE * job.target.count() as f64) as usize;
+        let (again, _) = dug(&start, plain, &pits, terms, run.ctx)?;
+        let share = if rival.is_none() { MORE_SHARE } else { MORE_SHARE_OF_MANY };
+        let more = (share * job.target.count() as f64) as usize;
         let keeps = again.volumes.reused.count() + more >= best.volumes.reused.count();
         let is_no_worse = again.rank(job) <= best.rank(job) || again.left() <= best.left() && keeps;
         if is_no_worse && again.steps.len() < best.steps.len() {
@@ -131,10 +149,11 @@ fn dug(
     start: &Start,
     plain: Attempt,
     before: &[Pit],
+    terms: Terms,
     ctx: &Ctx,
 ) -> Result<(Attempt, Vec<Pit>), PlanError> {
     let job = start.setting.job;
-    let mut digging = Digging::new(start, plain.clone());
+    let mut digging = Digging::new(start, plain.clone(), terms);
     let (mut best, mut pits) = ((plain, Vec::new()), Vec::new());
     let mut before = along_each(before).into_iter();
     while !digging.now.deficit.is_empty() && !ctx.out_of_time() {
@@ -147,7 +166,9 @@ fn dug(
         };
         let Some((made, of_it)) = next else { continue };
         pits.extend(of_it);
-        if made.rank(job) < best.0.rank(job) && made.left() < best.0.left() {
+        // A complete plan is outdone by what is complete alone.
+        let is_on_the_way = terms.rival.is_some() || made.rank(job) < best.0.rank(job);
+        if is_on_the_way && made.left() < best.0.left() {
             best = (made.clone(), pits.clone());
         }
         digging.go_on(made);
@@ -187,6 +208,14 @@ fn patches(job: &Job, missing: &BitGrid) -> Vec<Patch> {
     of.into_values().map(patch).collect()
 }
 
+/// What pits are made on.
+#[derive(Clone, Copy)]
+struct Terms<'o> {
+    /// What a complete plan keeps, in voxels, where one is known.
+    rival: Option<usize>,
+    options: &'o Options,
+}
+
 /// A plan, and what was tried to have it miss less.
 struct Digging<'s, 'a> {
     start: &'s Start<'a>,
@@ -207,10 +236,13 @@ struct Digging<'s, 'a> {
     vain: usize,
     /// The least that may be kept of the initial part, in voxels.
     least_kept: usize,
+    terms: Terms<'s>,
+    /// The way straight up on supports, which are cut away again.
+    supported: Option<usize>,
 }
 
 impl<'s, 'a> Digging<'s, 'a> {
-    fn new(start: &'s Start<'a>, plain: Attempt) -> Self {
+    fn new(start: &'s Start<'a>, plain: Attempt, terms: Terms<'s>) -> Self {
         let setting: &Setting<'a> = start.setting;
         let holdings = 0..setting.holdings.len();
         let mut directions: Vec<Direction> = Vec::new();
@@ -219,10 +251,17 @@ impl<'s, 'a> Digging<'s, 'a> {
                 directions.push(d);
             }
         }
-        let ways: Vec<Way<'a>> = match setting.nozzles().last() {
+        let mut ways: Vec<Way<'a>> = match setting.nozzles().last() {
             Some(nozzle) => ways_along(setting, &directions, nozzle),
             None => Vec::new(),
         };
+        let up = ways.iter().find(|w| w.direction == Direction::Z).copied();
+        // In place of other pits they left more on a thread: they are for outdoing a complete plan.
+        let takes = terms.options.supports && terms.rival.is_some();
+        let supported = up.filter(|_| takes).map(|up| {
+            ways.push(up);
+            ways.len() - 1
+        });
         let overhang = setting.job.rules.overhang_deg;
         let share = (PITS_SHARE * setting.job.target.count() as f64) as usize;
         let worth = plain.worth(setting.job).map_or(usize::MAX, |w| w.max(share));
@@ -242,7 +281,11 @@ impl<'s, 'a> Digging<'s, 'a> {
             tried,
             tries: 0,
             vain: 0,
-            least_kept: plain.volumes.reused.count().saturating_sub(worth),
+            least_kept: terms
+                .rival
+                .unwrap_or_else(|| plain.volumes.reused.count().saturating_sub(worth)),
+            terms,
+            supported,
         };
         digging.go_on(plain);
         digging
@@ -268,8 +311,9 @@ impl<'s, 'a> Digging<'s, 'a> {
                 self.opening += 1;
                 if self.opening == OPENINGS.len() {
                     // Large pits are for leaving nothing at all, or no more than the rules allow.
+                    let job = self.start.setting.job;
                     let hopeless = self.costs[0].iter().any(|c| c.iter().all(|c| c.is_infinite()));
-                    if hopeless && self.now.is_valid(self.start.setting.job) {
+                    if hopeless && self.terms.rival.is_none() && self.now.is_valid(job) {
                         return Ok(None);
                     }
                     (self.opening, self.price) = (0, self.price + 1);
@@ -444,16 +488,17 @@ impl<'s, 'a> Digging<'s, 'a> {
         let bricks = Brick::all_of(&solid, &old, frame);
         let of_patch = |solid: &mut BitGrid, p: &Patch| {
             ctx.check()?;
-            let cost = |(way, carriers): (&Way, &CarrierTable)| {
+            let cost = |(i, (way, carriers)): (usize, (&Way, &CarrierTable))| {
                 let d = way.direction;
-                if !self.is_carried(p, d, carriers, solid) {
+                // Supports are for what nothing else carries.
+                if self.is_carried(p, d, carriers, solid) == (self.supported == Some(i)) {
                     return f64::INFINITY;
                 }
                 let cone = Cone { from: p.middle, radius: p.radius, along: d, opening };
                 let [old, printed] = cone.holds(&bricks).map(|n| n as f64);
                 (old + PRINTED_WEIGHT * printed) * scale
             };
-            Ok(self.ways.iter().zip(&self.carriers).map(cost).collect())
+            Ok(self.ways.iter().zip(&self.carriers).enumerate().map(cost).collect())
         };
         self.patches.par_iter().map_init(|| self.state.clone(), of_patch).collect()
     }
@@ -530,6 +575,37 @@ impl<'s, 'a> Digging<'s, 'a> {
         pit
     }
 
+    /// What is wanted printed straight up on supports, these cut away, and then what is still missing.
+    fn on_supports(
+        &self,
+        setting: &Setting,
+        wanted: &Wanted,
+        ctx: &Ctx,
+    ) -> Result<Printing, PlanError> {
+        let (job, coarse) = (setting.job, self.start.coarse);
+        let none = BitGrid::new(job.frame.dims);
+        let on = OnSupports { direction: Direction::Z, avoided: &none, slim: &none, ahead: &none };
+        let first = print_on_supports(setting, coarse, wanted, on, ctx)?;
+        // What stood there before stays what it was.
+        let supports = first.state.minus(wanted.state).minus(&job.target);
+        let supports = setting.beyond_skin(&supports, wanted.state);
+        if supports.is_empty() {
+            return Ok(print_crumbs(setting, coarse, wanted, first, leaves_none, ctx)?);
+        }
+        let kept = setting.old_of(wanted.state);
+        let printed = Job { initial: first.state.clone(), ..job.clone() };
+        let next = setting.of_next_round(&printed, kept);
+        let removable = first.state.minus(&job.target);
+        let samples = self.terms.options.directions;
+        let cuts = Cuts { removable: &removable, deep: &supports, samples, before: &[] };
+        let cutting = cut_blocks(&next, coarse, &cuts, ctx)?;
+        let still = Wanted { state: &cutting.state, added: &first.unreached, ..*wanted };
+        let last = print_blocks(&next, coarse, &still, &[], ctx)?;
+        let mut last = print_crumbs(&next, coarse, &still, last, leaves_none, ctx)?;
+        last.steps = followed(followed(first.steps, cutting.steps), last.steps);
+        Ok(last)
+    }
+
     /// The plan with a pit cut along a way, and with what is then missing there printed; none where
     /// nothing is cut or laid.
     fn made(
@@ -580,8 +656,13 @@ impl<'s, 'a> Digging<'s, 'a> {
             samples: 0,
             patience: Patience::Endless,
         };
-        let printing = print_blocks(&next, coarse, &wanted, &[], ctx)?;
-        let printing = print_crumbs(&next, coarse, &wanted, printing, leaves_none, ctx)?;
+        let printing = match self.supported == Some(way) {
+            true => self.on_supports(&next, &wanted, ctx)?,
+            false => {
+                let printing = print_blocks(&next, coarse, &wanted, &[], ctx)?;
+                print_crumbs(&next, coarse, &wanted, printing, leaves_none, ctx)?
+            }
+        };
         if printing.steps.is_empty() {
             return Ok(None);
         }
@@ -641,7 +722,7 @@ mod tests {
         job.rules.deviation = 0.02;
         let (without, made, notes) = with_run(&job, |run| {
             let without = plain(run);
-            let made = with_pits(run, without.clone()).unwrap();
+            let made = with_pits(run, without.clone(), None).unwrap();
             (without, made, run.report.notes.clone())
         });
         assert!(without.deficit.count() > 30, "{}", without.deficit.count());
@@ -666,7 +747,8 @@ mod tests {
         }
         let pit = BitGrid::from_fn(DIMS, |v| block(v) && corner(v) && !hole(v));
         let (made, cut) = with_run(&job, |run| {
-            let digging = Digging::new(run.start, plain(run));
+            let digging =
+                Digging::new(run.start, plain(run), Terms { rival: None, options: run.options });
             let way = digging.ways.iter().position(|w| w.direction.vec().x < -0.9);
             let over: Vec<[usize; 3]> = digging.now.deficit.iter_ones().collect();
             let made = digging.made((&pit, &over), way.unwrap(), run.ctx).unwrap().unwrap();
@@ -681,6 +763,39 @@ mod tests {
         assert!(made.excess.is_empty());
     }
 
+    /// The lower part of a bridge is missing. Straight up nothing carries it: what is over it is opened, all is printed on
+    /// supports, and these go again.
+    #[test]
+    fn what_hangs_over_nothing_is_printed_on_supports() {
+        let bridge = |[x, y, z]: [usize; 3]| {
+            block([x, y, z]) && (!(12..34).contains(&x) && (8..32).contains(&y) || z >= 15)
+        };
+        let missing = |[x, _, z]: [usize; 3]| (12..34).contains(&x) && z < 18;
+        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+        let target = BitGrid::from_fn(DIMS, bridge);
+        let initial = BitGrid::from_fn(DIMS, |v| bridge(v) && !missing(v));
+        let mut job = job_of(frame, initial, target, |_| true);
+        job.rules.deviation = 0.2;
+        let (without, made) = with_run(&job, |run| {
+            let without = plain(run);
+            let terms = Terms { rival: Some(0), options: run.options };
+            let digging = Digging::new(run.start, without.clone(), terms);
+            let over: Vec<[usize; 3]> = without.deficit.iter_ones().collect();
+            let pit = digging.pit(&over, Direction::Z, 1.0);
+            let way = digging.supported.unwrap();
+            let made = digging.made((&pit, &over), way, run.ctx).unwrap().unwrap();
+            (without, made)
+        });
+        assert!(without.deficit.count() > 500, "{}", without.deficit.count());
+        assert!(4 * made.left() < without.left(), "{} of {}", made.left(), without.left());
+        let aside = made.printed_aside(&job).count();
+        assert!(aside > 100, "{aside} voxels of supports");
+        let mut steps = made.steps;
+        let holdings = Setting::new(&job).numbered(&mut steps);
+        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
+        assert!(verdict.passed(), "{:?}", verdict.rules);
+    }
+
     /// What nothing would carry asks for no large pits, and a complete plan for none.
     #[test]
     fn a_plan_without_hope_or_need_stays_as_it_is() {
@@ -688,7 +803,7 @@ mod tests {
         let none = |job: &Job| {
             with_run(job, |run| {
                 let without = plain(run);
-                let made = with_pits(run, without.clone()).unwrap();
+                let made = with_pits(run, without.clone(), None).unwrap();
                 (without, made)
             })
         };
@@ -706,7 +821,8 @@ mod tests {
     fn a_pit_is_the_cone_over_what_is_missing() {
         let job = job(hole);
         let (pit, room, state) = with_run(&job, |run| {
-            let digging = Digging::new(run.start, plain(run));
+            let digging =
+                Digging::new(run.start, plain(run), Terms { rival: None, options: run.options });
             let over = [[20, 20, 10], [23, 20, 12], [20, 20, 13]];
             let room = digging.ways[0].tool.tip_radius() + 0.5;
             (digging.pit(&over, Direction::Z, 2.0), room, digging.state.clone())

@@ -1,0 +1,139 @@
+//! What a plan gives up and need not.
+//!
+//! Method. Planes give up all that lies over them. Where the plan that won gives up much, nothing is given up at
+//! first: of a worn part, of which little is to be cut, all is printed on the part as it is (`printed_first`); of others all
+//! that is to go is cut, and the rest printed on supports (`cut_first`), if the coarse grid says that this leaves no more than
+//! the rules allow. What it then misses is opened by pits (`pits`), which may give up as much as the plan that won,
+//! on supports too in the end.
+//!
+//! Guarantees: those of cuts and deposits; the plan that won stays where this one ranks no higher. Not guaranteed: that
+//! what can be kept is found.
+
+use super::coarse::Coarse;
+use super::fewest::with_fewest_cuts;
+use super::last_resort::{UnderPlanes, closely_cut, cut_first};
+use super::locals::is_complete;
+use super::pits::with_pits;
+use super::printed_first::printed_first;
+use super::round::Attempt;
+use super::setting::Setting;
+use super::{Run, Start};
+use crate::planner::PlanError;
+
+/// Share of the target that a plan gives up for another to be looked for that keeps it: for a worn part, and for others,
+/// where looking takes as long as the plan did.
+const KEEPING_SHARE: f64 = 0.05;
+const KEEPING_SHARE_OF_OTHERS: f64 = 0.1;
+
+/// Share of the target that is to be cut from a worn part at most. Of others much more has to go, and
+/// printing before it went left something on each of four tried.
+const WORN_SHARE: f64 = 0.05;
+
+/// A plan that keeps more than one that gives up much, and ranks higher.
+pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, PlanError> {
+    let job = run.start.setting.job;
+    let target = job.target.count() as f64;
+    let given_up = job.ideal_reuse().count().saturating_sub(best.volumes.reused.count()) as f64;
+    let is_worn = job.initial.minus(&job.target).count() as f64 <= WORN_SHARE * target;
+    let share = if is_worn { KEEPING_SHARE } else { KEEPING_SHARE_OF_OTHERS };
+    let is_worth_it = given_up > share * target && run.options.supports;
+    let has_a_way = !is_worn || is_complete(best, job);
+    if !is_worth_it || !has_a_way || run.ctx.out_of_time() {
+        return Ok(None);
+    }
+    let made = if is_worn { printed_first(run)? } else { all_kept(run)? };
+    let Some(made) = made.filter(|m| m.is_valid(job)) else { return Ok(None) };
+    let notes = std::mem::take(&mut run.report.notes);
+    let rival = is_complete(best, job).then(|| best.volumes.reused.count());
+    let made = match is_worn {
+        true => {
+            let made = with_fewest_cuts(run, made)?;
+            with_pits(run, made, None)?
+        }
+        false => {
+            let made = with_pits(run, made, rival)?;
+            let (clips, volumes) = (made.clips.clone(), made.volumes.clone());
+            closely_cut(run, &UnderPlanes { clips, volumes }, made)?
+        }
+    };
+    made.tell("keeping more", 0);
+    run.clock.lap("blocks");
+    let keeps_more = made.rank(job) < best.rank(job);
+    // Of two plans with pits the notes tell of the one that is made.
+    if !keeps_more {
+        run.report.notes = notes;
+        return Ok(None);
+    }
+    run.report.notes.splice(0..0, notes);
+    let made = if is_worn { made } else { with_fewest_cuts(run, made)? };
+    run.clock.lap("blocks");
+    Ok(Some(made))
+}
+
+/// What comes of cutting first, nothing given up; none where the coarse grid shows that it leaves more than the
+/// rules allow.
+fn all_kept(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
+    let (start, options, ctx) = (run.start, run.options, run.ctx);
+    let job = start.coarse.as_job();
+    let setting = Setting::new(&job).with_last_resort();
+    let (coarse, preferred) = (Coarse::of(&job), start.preferred.clone());
+    let of_look = Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() };
+    let look = cut_first(&of_look, options, ctx)?;
+    look.tell("cut first, on the coarse grid", 0);
+    run.clock.lap("blocks");
+    if !look.is_valid(&job) {
+        return Ok(None);
+    }
+    let setting = start.setting.with_last_resort();
+    let made = cut_first(&start.in_setting(&setting), options, ctx)?;
+    made.tell("cut first", 0);
+    let under = UnderPlanes::of(start.setting.job, Vec::new());
+    let made = closely_cut(run, &under, made)?;
+    run.clock.lap("blocks");
+    Ok(Some(made))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::clip::Clip;
+    use super::super::local_tests::{block, block_job, bowl, with_run};
+    use super::*;
+    use crate::base::{Ctx, Direction};
+    use crate::machine::Taken;
+    use crate::plan::{Plan, Plane};
+    use crate::verify::verify;
+
+    /// Much is to be cut from a block with a bowl in its top, and a plane under the bowl gives up half of it.
+    #[test]
+    fn what_a_plane_gave_up_is_kept_where_all_is_reached_without_it() {
+        let job = block_job(
+            |v| block(v) && !bowl(v),
+            |v| block(v) && v[0] < 26,
+            |t| t.taken == Taken::Always,
+        );
+        let made = with_run(&job, |run| {
+            let clip = Clip::global(Plane { normal: Direction::Z, offset: 8.0 });
+            let best = run.start.attempt(vec![clip], run.options, run.ctx).unwrap();
+            assert!(is_complete(&best, &job));
+            assert!(2 * best.volumes.reused.count() < job.target.count());
+            keeping_more(run, &best).unwrap().expect("nothing has to be given up")
+        });
+        assert_eq!(made.left(), 0);
+        assert_eq!(made.volumes.reused, job.ideal_reuse());
+        let mut steps = made.steps;
+        let holdings = Setting::new(&job).numbered(&mut steps);
+        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
+        assert!(verdict.passed(), "{:?}", verdict.rules);
+    }
+
+    /// A plan that gives up little is not looked beside.
+    #[test]
+    fn a_plan_that_keeps_nearly_all_stays() {
+        let job = block_job(block, |v| block(v) && v[0] < 26, |t| t.taken == Taken::Always);
+        let found = with_run(&job, |run| {
+            let best = run.start.attempt(Vec::new(), run.options, run.ctx).unwrap();
+            keeping_more(run, &best).unwrap().is_some()
+        });
+        assert!(!found);
+    }
+}
