@@ -393,7 +393,10 @@ fn one_round(
         Search::BottomUp => vec![bottom_up(&mut run)?],
     };
     // None printed outside the target but where the plan without supports was passed over.
-    let was_made = attempts.iter().all(|a| a.printed_aside(job).is_empty());
+    let mut why = match attempts.iter().all(|a| a.printed_aside(job).is_empty()) {
+        true => "since without them more is left",
+        false => "since by a look on a coarser grid without them more is left",
+    };
     let mut best = run.printed_first.take();
     for attempt in attempts {
         // One that leaves more than the rules allow is no way on from one that does not.
@@ -419,11 +422,12 @@ fn one_round(
         && let Some(made) = keeping_more(&mut run, &best)?
     {
         aside = made.printed_aside(job).count();
+        why = "to carry what nothing else does";
         best = made;
     }
     best = fitted(&mut run, best)?;
     best = roughed(&mut run, best)?;
-    run.report.note_supports(job, aside, was_made);
+    run.report.note_supports(job, aside, why);
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
     report.seconds = clock.laps;

@@ -45,26 +45,37 @@ pub enum Leaves {
 /// What supports and waiting stock leave under some planes, on the coarse grid.
 pub fn glimpse(run: &mut Run, clips: &[Clip]) -> Result<Leaves, PlanError> {
     let Run { start, options, clock, ctx, .. } = run;
+    let leaves = on_coarse_grid(start, |look| {
+        let job = look.setting.job;
+        let clips = clips.iter().map(|c| {
+            let seeds = c.seeds.as_ref().map(|s| start.coarse.any(s));
+            Clip { seeds, ..c.clone() }
+        });
+        let under = UnderPlanes::of(job, clips.collect());
+        let made = on_supports(look, &under, options, ctx)?;
+        made.tell("glimpse", 0);
+        let reused = made.volumes.reused.count();
+        // All that is left counts: what is open only below is no better than the rest here.
+        Ok(match made.standing(job, reused).class {
+            _ if reused == 0 => Leaves::Nothing,
+            0 => Leaves::Nothing,
+            1 => Leaves::Little,
+            _ => Leaves::TooMuch,
+        })
+    })?;
+    clock.lap("blocks");
+    Ok(leaves)
+}
+
+/// Looks at the coarse job, planned on as it is, with the tools of the last resort.
+pub fn on_coarse_grid<T>(
+    start: &Start,
+    look: impl FnOnce(&Start) -> Result<T, PlanError>,
+) -> Result<T, PlanError> {
     let job = start.coarse.as_job();
     let setting = Setting::new(&job).with_last_resort();
     let (coarse, preferred) = (Coarse::of(&job), start.preferred.clone());
-    let of_look = Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() };
-    let clips = clips.iter().map(|c| {
-        let seeds = c.seeds.as_ref().map(|s| start.coarse.any(s));
-        Clip { seeds, ..c.clone() }
-    });
-    let under = UnderPlanes::of(&job, clips.collect());
-    let made = on_supports(&of_look, &under, options, ctx)?;
-    clock.lap("blocks");
-    made.tell("glimpse", 0);
-    let reused = made.volumes.reused.count();
-    // All that is left counts: what is open only below is no better than the rest here.
-    Ok(match made.standing(&job, reused).class {
-        _ if reused == 0 => Leaves::Nothing,
-        0 => Leaves::Nothing,
-        1 => Leaves::Little,
-        _ => Leaves::TooMuch,
-    })
+    look(&Start { setting: &setting, coarse: &coarse, preferred, bad_bases: Vec::new() })
 }
 
 #[cfg(test)]

@@ -45,14 +45,11 @@ impl Report {
         }
     }
 
-    /// Says that so many voxels are printed outside the target, and whether the plan without them
-    /// was made or only looked at.
-    pub fn note_supports(&mut self, job: &Job, voxels: usize, was_made: bool) {
+    /// Says that so many voxels are printed outside the target, and why.
+    pub fn note_supports(&mut self, job: &Job, voxels: usize, why: &str) {
         if voxels > 0 {
-            let how = if was_made { "since" } else { "since by a look on a coarser grid" };
             self.notes.push(format!(
-                "{:.1} mm³ of supports are printed and cut away again, {how} without them more is \
-                 left.",
+                "{:.1} mm³ of supports are printed and cut away again, {why}.",
                 voxels as f64 * job.frame.voxel_volume()
             ));
         }
