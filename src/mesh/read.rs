@@ -182,7 +182,8 @@ fn recognise(start: &[u8], len: u64, extension: &str) -> Result<Format, Defect> 
     let unrecognised = || Defect::Unrecognised { extension: extension.to_string() };
     let is_text = !text.contains(&0);
     match extension {
-        "stl" if !is_text => Ok(Format::StlBinary),
+        // A count of four bytes with no zero among them, and nothing after it, may be all there is.
+        "stl" if !is_text || stl::has_binary_count(start) => Ok(Format::StlBinary),
         "stl" if text.trim_ascii_start().to_ascii_lowercase().starts_with(b"solid") => {
             Ok(Format::StlText)
         }
@@ -205,6 +206,10 @@ mod tests {
         assert_eq!(of(b"# x\nmtllib a\nv 0 0 0\n", "stl"), Some(Format::Obj));
         assert_eq!(of(b"PK\x03\x04", "stl"), Some(Format::ThreeMf));
         assert_eq!(of(b"hello", "stl"), None);
+        let header_alone = [[b'x'; 80].as_slice(), &[0xff; 4]].concat();
+        assert_eq!(of(&header_alone, "stl"), Some(Format::StlBinary));
+        assert_eq!(of(&header_alone, "obj"), Some(Format::Obj));
+        assert_eq!(of(&[b'x'; 84], "stl"), None);
         assert_eq!(of(b"8 12 0\n", "off"), Some(Format::Off));
         assert_eq!(of(b"8 12 0\n", ""), None);
     }

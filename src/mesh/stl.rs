@@ -20,6 +20,11 @@ fn declared(start: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes([count[0], count[1], count[2], count[3]]))
 }
 
+/// Whether what would be a triangle count is nothing that text has.
+pub(super) fn has_binary_count(start: &[u8]) -> bool {
+    start.get(80..84).is_some_and(|count| !count.is_ascii())
+}
+
 /// Whether the declared triangles fill a file of `len` bytes exactly.
 pub(super) fn is_binary(start: &[u8], len: u64) -> bool {
     declared(start).is_some_and(|n| HEADER + TRIANGLE * u64::from(n) == len)
