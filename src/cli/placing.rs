@@ -182,7 +182,7 @@ impl Placing<'_> {
         if others.is_empty() {
             return Ok(best);
         }
-        let mut lines = vec![told(0, &best.standing(), "")];
+        let mut lines = vec![told(0, &best.standing(), " as planned")];
         let all_asked_for = self.config.setup_candidates.is_some();
         let is_enough = |best: &Made| !all_asked_for && best.is_enough();
         if is_enough(&best) {
@@ -208,7 +208,7 @@ impl Placing<'_> {
                 break;
             }
             let made = self.plan_at(&places[i])?;
-            lines.push(told(i, &made.standing(), ""));
+            lines.push(told(i, &made.standing(), " as planned"));
             let is_better = match all_asked_for {
                 true => made.standing() < best.standing(),
                 false => made.is_worth_more_than(&best),
