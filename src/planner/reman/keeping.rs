@@ -84,13 +84,11 @@ fn all_kept(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
 #[cfg(test)]
 mod tests {
     use super::super::clip::Clip;
-    use super::super::local_tests::{block, block_job, bowl, with_run};
-    use super::super::setting::Setting;
+    use super::super::local_tests::{assert_verifies, block, block_job, bowl, with_run};
     use super::*;
-    use crate::base::{Ctx, Direction};
+    use crate::base::Direction;
     use crate::machine::Taken;
-    use crate::plan::{Plan, Plane};
-    use crate::verify::verify;
+    use crate::plan::Plane;
 
     /// Much is to be cut from a block with a bowl in its top, and a plane under the bowl gives up half of it.
     #[test]
@@ -112,10 +110,7 @@ mod tests {
         assert!(notes.is_empty(), "{notes:?}");
         assert_eq!(made.left(), 0);
         assert_eq!(made.volumes.reused, job.ideal_reuse());
-        let mut steps = made.steps;
-        let holdings = Setting::new(&job).numbered(&mut steps);
-        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
-        assert!(verdict.passed(), "{:?}", verdict.rules);
+        assert_verifies(&job, made.steps);
     }
 
     /// A plan that gives up little is not looked beside.

@@ -10,7 +10,8 @@ use super::{Clock, Options, Report, Run, Start, plane_normals};
 use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::{Machine, Tool, ToolKind};
 use crate::mesh::TriMesh;
-use crate::plan::{Job, Plane, Rules};
+use crate::plan::{Job, Plan, Plane, Rules, Step};
+use crate::verify::verify;
 use crate::voxel::{BitGrid, Frame};
 
 const DIMS: [usize; 3] = [40, 24, 30];
@@ -77,6 +78,13 @@ pub(super) fn block_job(
     let [initial, target] =
         [BitGrid::from_fn(BLOCK_DIMS, initial), BitGrid::from_fn(BLOCK_DIMS, target)];
     job_of(frame, initial, target, wanted)
+}
+
+/// Holds steps to every rule that has to do with no program.
+pub(super) fn assert_verifies(job: &Job, mut steps: Vec<Step>) {
+    let holdings = Setting::new(job).numbered(&mut steps);
+    let verdict = verify(job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
+    assert!(verdict.passed(), "{:?}", verdict.rules);
 }
 
 /// Asks what a run would on a job, with nothing done yet.

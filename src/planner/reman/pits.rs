@@ -677,11 +677,10 @@ impl<'s, 'a> Digging<'s, 'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::local_tests::{job_of, with_run};
+    use super::super::local_tests::{assert_verifies, job_of, with_run};
     use super::super::round::{Mending, attempt};
     use super::*;
     use crate::plan::{Plan, end_state};
-    use crate::verify::verify;
     use crate::voxel::Frame;
 
     const DIMS: [usize; 3] = [46, 40, 30];
@@ -725,10 +724,7 @@ mod tests {
         let lost = without.volumes.reused.minus(&made.volumes.reused).count();
         assert!((1..4000).contains(&lost), "{lost} of {}", without.volumes.reused.count());
         assert!(notes.iter().any(|n| n.contains("given up in pits")), "{notes:?}");
-        let mut steps = made.steps;
-        let holdings = Setting::new(&job).numbered(&mut steps);
-        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
-        assert!(verdict.passed(), "{:?}", verdict.rules);
+        assert_verifies(&job, made.steps);
     }
 
     /// A thin layer on what a pit gives up was within the tolerance of it: left standing, it counted as skin
@@ -785,10 +781,7 @@ mod tests {
         assert_eq!(made.left(), 0, "{} {}", made.excess.count(), made.deficit.count());
         let aside = made.printed_aside(&job).count();
         assert!(aside > 10, "{aside} voxels of supports");
-        let mut steps = made.steps;
-        let holdings = Setting::new(&job).numbered(&mut steps);
-        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
-        assert!(verdict.passed(), "{:?}", verdict.rules);
+        assert_verifies(&job, made.steps);
     }
 
     /// What nothing would carry asks for no large pits, and a complete plan for none.

@@ -80,12 +80,11 @@ pub fn on_coarse_grid<T>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::local_tests::{block, block_job, bowl, with_run};
+    use super::super::local_tests::{assert_verifies, block, block_job, bowl, with_run};
     use super::*;
-    use crate::base::{Ctx, Direction};
+    use crate::base::Direction;
     use crate::machine::Taken;
-    use crate::plan::{Job, Plan, Plane, StepKind};
-    use crate::verify::verify;
+    use crate::plan::{Job, Plane, StepKind};
 
     /// A block that has to be whole, a little too long, with something missing.
     fn job(missing: impl Fn([usize; 3]) -> bool + Sync) -> Job {
@@ -102,10 +101,7 @@ mod tests {
         assert_eq!(made.volumes.reused, job.ideal_reuse(), "nothing is given up");
         let first = made.steps.iter().position(|s| s.kind == StepKind::Subtractive);
         assert!(first.is_some_and(|f| f > 0), "the end comes off after the first deposit");
-        let mut steps = made.steps;
-        let holdings = Setting::new(&job).numbered(&mut steps);
-        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
-        assert!(verdict.passed(), "{:?}", verdict.rules);
+        assert_verifies(&job, made.steps);
     }
 
     /// A hollow that no nozzle gets into asks for a plane, whose look says so.

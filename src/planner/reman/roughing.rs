@@ -130,13 +130,9 @@ fn stouter<'a>(run: &Run<'a>, step: &Step) -> (f64, Vec<(&'a Tool, f64)>) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::local_tests::{job_of, with_run};
+    use super::super::local_tests::{assert_verifies, job_of, with_run};
     use super::super::round::{Mending, attempt};
-    use super::super::setting::Setting;
     use super::*;
-    use crate::base::Ctx;
-    use crate::plan::Plan;
-    use crate::verify::verify;
     use crate::voxel::Frame;
 
     const DIMS: [usize; 3] = [60, 50, 34];
@@ -187,10 +183,7 @@ mod tests {
         assert_eq!(first.count_and(then), 0);
         assert_eq!(first.or(then), plain.steps[0].region);
         assert!(first.count() > 10 * then.count() && then.count() > 100);
-        let mut steps = made.steps;
-        let holdings = Setting::new(&job).numbered(&mut steps);
-        let verdict = verify(&job, Plan { holdings, steps }, &Ctx::quiet()).unwrap();
-        assert!(verdict.passed(), "{:?}", verdict.rules);
+        assert_verifies(&job, made.steps);
     }
 
     /// A channel of five voxels, narrower than the stout cutter, which has room between the middles of its walls' voxels.
