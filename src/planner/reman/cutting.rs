@@ -7,6 +7,7 @@
 //! voxels along every direction. Greedy as that is, the small cuts of the plan that wins are then
 //! chosen anew (`fewest`). Cuts that an earlier plan for nearly the same took come first.
 
+use super::MENDABLE_SHARE;
 use super::bridges::bridges;
 use super::coarse::Coarse;
 use super::reach::{Reach, SHORTER_TOOL_SHARE, bounds, bounds_along, choose, gains};
@@ -35,6 +36,12 @@ const COARSE_GAIN_SHARE: f64 = 0.002;
 const COARSE_PATIENCE: usize = 3;
 const PATIENCE: usize = 5;
 
+/// With patience, one more for every so many voxels that are left, and so many more at most: the bounds of some
+/// directions, which see all of it, hide those along which a little can be had. Where nothing is printed, the slimmer
+/// cutters that follow need fewer.
+const VOXELS_A_TRY: usize = 100;
+const MOST_MORE: usize = 60;
+
 /// Voxels left up to which the coarse look, which slender tools mislead, has no say: so few cost
 /// hardly more along every direction than along some. With none, a real bracket kept its last voxel.
 const FEW: usize = 1000;
@@ -57,6 +64,8 @@ pub struct Cuts<'a> {
     /// Cuts of an earlier plan for nearly the same, made first as far as they still remove anything:
     /// few others are then left to look for.
     pub before: &'a [Step],
+    /// Whether more directions are tried while much is left, as where anything is printed.
+    pub patient: bool,
 }
 
 /// Cuts what is removable from the initial part as far as tools reach while the rest of it stands.
@@ -66,8 +75,9 @@ pub fn cut_blocks(
     cuts: &Cuts,
     ctx: &Ctx,
 ) -> Result<Cutting, Cancelled> {
-    let Cuts { removable, deep, samples, before } = *cuts;
+    let Cuts { removable, deep, samples, before, patient } = *cuts;
     let mut cutter = Cutter::new(setting, coarse, removable, deep);
+    cutter.is_patient = patient;
     cutter.repeat(before, false, ctx)?;
     // Where others follow, the usual cutters need not be looked at closely before them.
     let alone = cutter.cutters.len() == setting.cutters().len();
@@ -154,6 +164,7 @@ pub(super) struct Cutter<'s, 'a> {
     pub cutters: &'a [Tool],
     /// Voxels that a block chosen on the coarse grid removes at least.
     least: usize,
+    is_patient: bool,
     pub cutting: Cutting,
 }
 
@@ -173,6 +184,7 @@ impl<'s, 'a> Cutter<'s, 'a> {
             kept: coarse.most(&kept),
             least: (COARSE_GAIN_SHARE * unreached.count() as f64) as usize,
             fine_kept: kept,
+            is_patient: false,
             cutters: setting.usual_cutters(),
             cutting: Cutting { steps: Vec::new(), state: setting.job.initial.clone(), unreached },
         }
@@ -365,13 +377,16 @@ impl<'s, 'a> Cutter<'s, 'a> {
         later: &BitGrid,
         ctx: &Ctx,
     ) -> Result<(), Cancelled> {
-        let (least, patience) =
-            if coarse.is_some() { (self.least.max(1), COARSE_PATIENCE) } else { (1, PATIENCE) };
+        let least = if coarse.is_some() { self.least.max(1) } else { 1 };
         // Directions that removed too little since the last success.
         let mut barren: Vec<usize> = Vec::new();
         loop {
             ctx.check()?;
             let left = self.cutting.unreached.minus(later);
+            let patience = match coarse {
+                Some(_) => COARSE_PATIENCE,
+                None => self.patience(left.count()),
+            };
             let left = coarse.map_or(left.clone(), |c| c.any(&left));
             let Some(next) = choose(reach, &gains(reach, &left), &barren) else { return Ok(()) };
             let chosen = &reach[next];
@@ -401,6 +416,13 @@ impl<'s, 'a> Cutter<'s, 'a> {
         }
     }
 
+    /// Tries in vain before an end on the job's own grid while so much is left.
+    fn patience(&self, left: usize) -> usize {
+        let share = left as f64 / self.setting.job.target.count().max(1) as f64;
+        let takes_more = self.is_patient && share <= MENDABLE_SHARE;
+        PATIENCE + if takes_more { (left / VOXELS_A_TRY).min(MOST_MORE) } else { 0 }
+    }
+
     /// Makes a cut.
     pub(super) fn push(
         &mut self,
@@ -421,5 +443,27 @@ impl<'s, 'a> Cutter<'s, 'a> {
             block: cutting.steps.len(),
             origin: Origin { plane: None, action: Some(Action::OC) },
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::local_tests::{block, block_job};
+    use super::*;
+
+    /// On a bracket five directions in vain hid those along which half of the supports could be had.
+    #[test]
+    fn patience_grows_with_what_is_left_where_anything_is_printed() {
+        let mut job = block_job(block, block, |_| true);
+        job.target = BitGrid::from_fn([100, 100, 40], |_| true);
+        let (setting, coarse) = (Setting::new(&job), Coarse::of(&job));
+        let none = BitGrid::new(job.frame.dims);
+        let mut cutter = Cutter::new(&setting, &coarse, &none, &none);
+        let plain = |n| cutter.patience(n);
+        assert_eq!([0, 1000, 5000, 200_000].map(plain), [PATIENCE; 4]);
+        cutter.is_patient = true;
+        let patient = |n| cutter.patience(n);
+        let want = [5, 15, 25, 65, 5];
+        assert_eq!([0, 1000, 2000, 8000, 200_000].map(patient), want);
     }
 }

@@ -32,6 +32,9 @@ const SMALL_VOXELS: usize = 20_000;
 /// Fewer small cuts than this are left as they are.
 const LEAST_SMALL: usize = 3;
 
+/// More small cuts than this are left as well: of a real bracket's 231 a cover took two minutes and left some of it.
+const MOST_SMALL: usize = 100;
+
 /// What a cut costs more in a holding that no other cut needs, and with the slimmest cutter: less
 /// than another cut even where all of them do.
 const FURTHER_HOLDING: f64 = 1e-3;
@@ -138,7 +141,7 @@ impl Start<'_> {
             cuts.iter().zip(&is_large).filter(|(_, l)| **l == large).map(|(s, _)| s).collect()
         };
         let (large, small) = (of(true), of(false));
-        if small.len() < LEAST_SMALL {
+        if !(LEAST_SMALL..=MOST_SMALL).contains(&small.len()) {
             return Ok(None);
         }
         let removed = all_of(self.setting.job, cuts);

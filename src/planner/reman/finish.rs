@@ -148,7 +148,13 @@ impl Start<'_> {
         let removable = next_job.initial.minus(&job.target);
         let skin = setting.skin(reused);
         let deep = removable.minus(&skin.minus(&laid));
-        let cuts = Cuts { removable: &removable, deep: &deep, samples, before: turns.cuts };
+        let cuts = Cuts {
+            removable: &removable,
+            deep: &deep,
+            samples,
+            before: turns.cuts,
+            patient: false,
+        };
         let cutting = cut_blocks(&next, self.coarse, &cuts, ctx)?;
 
         let late = all_of(job, turns.late).minus(&cutting.state);

@@ -167,7 +167,8 @@ pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt,
     let under = UnderPlanes::of(setting.job, Vec::new());
     let (deep, _) = deep(setting, &under.volumes);
     let removable = &under.volumes.removed;
-    let cuts = Cuts { removable, deep: &deep, samples: options.directions, before: &[] };
+    let cuts =
+        Cuts { removable, deep: &deep, samples: options.directions, before: &[], patient: false };
     let cutting = cut_blocks(setting, start.coarse, &cuts, ctx)?;
     let stock = Stock { cuts: cutting.steps, state: cutting.state };
     let care = Care::none(setting.job);
@@ -325,7 +326,7 @@ impl Start<'_> {
         under.clips.iter().for_each(|c| first.union_with(&c.clipped(removed, frame)));
         let deep = first.minus(&setting.skin(&under.volumes.reused));
         let samples = options.directions;
-        let cuts = Cuts { removable: &first, deep: &deep, samples, before: &[] };
+        let cuts = Cuts { removable: &first, deep: &deep, samples, before: &[], patient: true };
         let cutting = cut_blocks(setting, self.coarse, &cuts, ctx)?;
         Ok(Stock { cuts: cutting.steps, state: cutting.state })
     }
@@ -386,7 +387,9 @@ impl Start<'_> {
         let removed = next_job.initial.minus(&job.target);
         let deep = removed.minus(&skin);
         let samples = options.directions;
-        let way = Cuts { removable: &removed, deep: &deep, samples, before };
+        let is_printed = |s: &Step| s.kind == StepKind::Additive;
+        let patient = steps.iter().chain(&printing.steps).any(is_printed);
+        let way = Cuts { removable: &removed, deep: &deep, samples, before, patient };
         let cutting = cut_blocks(&next, self.coarse, &way, ctx)?;
         let still = Wanted {
             state: &cutting.state,

@@ -34,6 +34,10 @@ pub const WORTH_SHARE: f64 = 0.005;
 /// Regions that a round looks at, the largest first: each is a layer of the search.
 const MOST_ELEMENTS: usize = 10;
 
+/// Least height of the normal of a plane meant for supports: what stands on them is printed straight up, and beside a
+/// steeper face, or under one that looks down, there is no room for a nozzle, the slimmest of which widen by 20°.
+const LEAST_LEAN: f64 = 0.35;
+
 /// A region on the coarse grid below this volume (mm³) is its staircase, not the part's.
 const LEAST_COARSE_MM3: f64 = 8.0;
 
@@ -45,7 +49,7 @@ pub fn local_route(run: &mut Run, best: &Attempt) -> Result<Option<(Attempt, boo
     let cells = Coarse::cells(job);
     let ideal = job.ideal_reuse();
     let scope = Scope::new(start.setting, &cells, &ideal);
-    let route = Route { start, scope, cells: &cells, normals, options };
+    let route = Route { start, scope: &scope, cells: &cells, normals, options };
     let (chosen, need_supports) = match start.coarse.is_coarser() {
         true => route.chosen(report, clock, ctx)?,
         false => (Vec::new(), false),
@@ -73,7 +77,7 @@ pub fn improved(run: &mut Run, mut best: Attempt) -> Result<Attempt, PlanError> 
     let job = start.setting.job;
     let cells = Coarse::cells(job);
     let scope = Scope::new(start.setting, &cells, &job.ideal_reuse());
-    let route = Route { start, scope, cells: &cells, normals, options };
+    let route = Route { start, scope: &scope, cells: &cells, normals, options };
     let voxels = job.frame.pitch.recip() * cells.job.frame.pitch;
     for round in 1..=FINE_ROUNDS {
         if best.residual() == 0 || ctx.out_of_time() {
@@ -112,7 +116,7 @@ fn fine_clip(candidate: &Candidate, cells: &Coarse, dims: [usize; 3]) -> Clip {
 
 struct Route<'a> {
     start: &'a Start<'a>,
-    scope: Scope<'a>,
+    scope: &'a Scope<'a>,
     cells: &'a Coarse,
     normals: &'a [Direction],
     options: &'a Options,
@@ -140,7 +144,9 @@ impl Route<'_> {
         let preferred = start.preferred.clone();
         let of_look = Start { setting: &setting, coarse: &look, preferred, bad_bases: Vec::new() };
         let make = |clips| on_supports(&of_look, &UnderPlanes::of(&job, clips), options, ctx);
-        let (supported, others) = self.on_coarse_grid(make, report, clock, ctx)?;
+        let normals = leaning(self.normals);
+        let route = Route { normals: &normals, ..*self };
+        let (supported, others) = route.on_coarse_grid(make, report, clock, ctx)?;
         match supported.rank(&job) < plain.rank(&job) {
             true => Ok((others, true)),
             false => Ok((chosen, false)),
@@ -217,7 +223,7 @@ impl Route<'_> {
         report: &mut Report,
         ctx: &Ctx,
     ) -> Result<Vec<Candidate>, PlanError> {
-        let found = refine(&self.scope, regions, self.normals, before, self.options, ctx)?;
+        let found = refine(self.scope, regions, self.normals, before, self.options, ctx)?;
         let Some(found) = found else { return Ok(Vec::new()) };
         tracing::debug!(
             planes = found.chosen.len(),
@@ -240,7 +246,36 @@ impl Route<'_> {
     }
 }
 
+/// The normals of planes beside which deposits come straight up.
+fn leaning(normals: &[Direction]) -> Vec<Direction> {
+    normals.iter().copied().filter(|n| n.vec().z >= LEAST_LEAN).collect()
+}
+
 /// Whether nothing is left that a plane could mend.
 pub fn is_complete(attempt: &Attempt, job: &Job) -> bool {
     attempt.rank(job).0 == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::machine::HoldingMode;
+    use crate::planner::reman::local_tests::{block, block_job};
+    use crate::planner::reman::plane_normals;
+
+    /// On a bracket a plane that looks down left a seam open, a voxel or two wide, that no nozzle got into from below.
+    #[test]
+    fn planes_for_supports_leave_room_for_a_nozzle_beside_them() {
+        let mut job = block_job(block, block, |_| true);
+        job.rules.holding = HoldingMode::Refixture;
+        let all = plane_normals(&job, 100);
+        let those = leaning(&all);
+        assert!(all.contains(&Direction::NEG_Z) && those.contains(&Direction::Z));
+        assert!((40..100).contains(&those.len()), "{}", those.len());
+        // The face leaves more room, the higher, than the slimmest nozzles need.
+        for n in those {
+            let recedes = n.vec().z / n.vec().truncate().length().max(1e-9);
+            assert!(recedes > 20.0_f64.to_radians().tan(), "{n:?}");
+        }
+    }
 }

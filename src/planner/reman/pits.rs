@@ -412,6 +412,7 @@ impl<'s, 'a> Digging<'s, 'a> {
             pit = pit.count(),
             before,
             after,
+            excess = made.excess.count(),
             reused = made.volumes.reused.count(),
             "pit"
         );
@@ -592,7 +593,8 @@ impl<'s, 'a> Digging<'s, 'a> {
         let next = setting.of_next_round(&printed, kept);
         let removable = first.state.minus(&job.target);
         let samples = self.terms.options.directions;
-        let cuts = Cuts { removable: &removable, deep: &supports, samples, before: &[] };
+        let cuts =
+            Cuts { removable: &removable, deep: &supports, samples, before: &[], patient: true };
         let cutting = cut_blocks(&next, coarse, &cuts, ctx)?;
         let still = Wanted { state: &cutting.state, added: &first.unreached, ..*wanted };
         let last = print_blocks(&next, coarse, &still, &[], ctx)?;

@@ -175,6 +175,7 @@ pub fn attempt(
         deep: &deep_removed,
         samples: options.directions,
         before: &[],
+        patient: !added.is_empty(),
     };
     let cutting = cut_blocks(setting, coarse, &cuts, ctx)?;
     // Material given up because nothing would hold it may be skin that no cut took: it stands.
