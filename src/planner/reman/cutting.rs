@@ -448,14 +448,18 @@ impl<'s, 'a> Cutter<'s, 'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::local_tests::{block, block_job};
+    use super::super::local_tests::job_of;
     use super::*;
+    use crate::voxel::Frame;
 
     /// On a bracket five directions in vain hid those along which half of the supports could be had.
     #[test]
     fn patience_grows_with_what_is_left_where_anything_is_printed() {
-        let mut job = block_job(block, block, |_| true);
-        job.target = BitGrid::from_fn([100, 100, 40], |_| true);
+        let frame = Frame { pitch: 1.0, dims: [100, 100, 40], origin: DVec3::ZERO };
+        let block = BitGrid::from_fn(frame.dims, |[x, y, z]| {
+            (2..98).contains(&x) && (2..98).contains(&y) && (1..37).contains(&z)
+        });
+        let job = job_of(frame, block.clone(), block, |_| true);
         let (setting, coarse) = (Setting::new(&job), Coarse::of(&job));
         let none = BitGrid::new(job.frame.dims);
         let mut cutter = Cutter::new(&setting, &coarse, &none, &none);
@@ -464,6 +468,6 @@ mod tests {
         cutter.is_patient = true;
         let patient = |n| cutter.patience(n);
         let want = [5, 15, 25, 65, 5];
-        assert_eq!([0, 1000, 2000, 8000, 200_000].map(patient), want);
+        assert_eq!([0, 1000, 2000, 6500, 200_000].map(patient), want);
     }
 }
