@@ -5,7 +5,8 @@
 //! on a coarse grid, where one takes a second; if the best choice promises to keep more than the
 //! global planes do, it is made on the job's own grid, and what that leaves gets rounds of its own.
 //! Where that grid's rounds all leave more than the rules allow, planes are looked for once more,
-//! for what would be left with supports (`last_resort`); these are made as they are.
+//! for what would be left with supports (`last_resort`); these are made as they are. Of such planes
+//! none is steep or looks down, since what stands on supports is printed straight up beside them.
 //!
 //! What differs from the paper: it splits the global planes of the set cover into local ones and
 //! turns those. A base that is not plano-convex can often be printed all the same, in several

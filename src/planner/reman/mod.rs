@@ -218,7 +218,7 @@ impl PartialOrd for Standing {
 
 /// A round of global planes that leaves more than this share of the target is the last: on real
 /// brackets such a plan is not mended by another plane, and the round costs as much as the first.
-/// Nor is printing tried again then with some space left free.
+/// Nor is printing tried again then with some space left free, or cutting more patient.
 const MENDABLE_SHARE: f64 = 0.02;
 
 /// Voxels that the plan under global planes prints, above which no local planes are looked for:
