@@ -2,7 +2,8 @@
 //!
 //! An over-cut may free a piece that it cannot reach itself. The piece would fall, and with it the
 //! plan (rule `stability`). The shortest way through the cut material from what is held to the
-//! piece is left standing instead, one voxel thicker all round; a later cut takes both.
+//! piece is left standing instead, one voxel thicker all round; a later cut takes both. A piece that
+//! nothing leads to, since it stands on the base on its own, keeps a foot there.
 //!
 //! Not guaranteed: that a bridge bears a load, or that a later cut reaches it; what stands at the
 //! end is residual like any other.
@@ -54,6 +55,21 @@ pub fn bridges(held: &BitGrid, loose: &BitGrid, cut: &BitGrid) -> BitGrid {
     ways.grown().and(cut)
 }
 
+/// The same; where no way leads to a piece, to those voxels of `cut` as well that are held where they are, the
+/// `feet`.
+pub fn bridges_or_feet(
+    held: &BitGrid,
+    loose: &BitGrid,
+    cut: &BitGrid,
+    feet: impl FnOnce() -> BitGrid,
+) -> BitGrid {
+    let ways = bridges(held, loose, cut);
+    match ways.is_empty() {
+        true => bridges(&held.or(&feet()), loose, cut),
+        false => ways,
+    }
+}
+
 /// Marks the shortest ways over some neighbours to the pieces that do not hang yet.
 fn hang(
     neighbours: &[[isize; 3]],
@@ -83,22 +99,25 @@ fn hang(
             if let Some(piece) = pieces.label_of(next)
                 && !std::mem::replace(&mut hangs[piece as usize], true)
             {
-                trace(&marks, next, dims, ways);
+                trace(&marks, next, cut, ways);
                 left -= 1;
             }
         }
     }
 }
 
-/// Marks the way back from a voxel to what is held.
-fn trace(marks: &[u8], from: [usize; 3], dims: [usize; 3], ways: &mut BitGrid) {
-    let mut v = from;
+/// Marks the way back from a voxel to what is held, and where it ends if that would be cut.
+fn trace(marks: &[u8], from: [usize; 3], cut: &BitGrid, ways: &mut BitGrid) {
+    let (mut v, dims) = (from, cut.dims());
     loop {
         let mark = marks[v[0] + dims[0] * (v[1] + dims[1] * v[2])];
-        if mark <= HELD || ways.get(v) {
+        if ways.get(v) || mark <= HELD && !cut.get(v) {
             return;
         }
         ways.set(v, true);
+        if mark <= HELD {
+            return;
+        }
         match stepped(v, NEIGHBOURS[usize::from(mark - 2)].map(|c| -c), dims) {
             Some(back) => v = back,
             None => return,
@@ -149,5 +168,26 @@ mod tests {
         let held = BitGrid::from_fn(dims, |[_, _, z]| z < 2);
         let loose = BitGrid::from_fn(dims, |[_, _, z]| z == 6);
         assert!(bridges(&held, &loose, &BitGrid::new(dims)).is_empty());
+    }
+
+    /// A plate on a block of its own, apart from what is held.
+    #[test]
+    fn a_piece_apart_keeps_a_foot() {
+        let dims = [30, 9, 12];
+        let held = BitGrid::from_fn(dims, |[x, _, _]| x < 5);
+        let loose = BitGrid::from_fn(dims, |[x, _, z]| x > 8 && z == 8);
+        let cut = BitGrid::from_fn(dims, |[x, _, z]| x > 8 && z < 8);
+        assert!(bridges(&held, &loose, &cut).is_empty());
+        let feet = BitGrid::from_fn(dims, |[x, _, z]| x > 8 && z < 1);
+        let left = bridges_or_feet(&held, &loose, &cut, || feet.clone());
+        assert!(left.is_subset_of(&cut) && left.intersects(&feet));
+        let standing = held.or(&loose).or(&left);
+        let stands = flood(&standing, &held.or(&left.and(&feet)), Connectivity::Edge18);
+        assert_eq!(stands, standing);
+        assert!(left.count() <= 9 * 8, "{}", left.count());
+        // Where a bridge does, there are no feet.
+        let beside = cut.or(&BitGrid::from_fn(dims, |[x, _, z]| (5..=8).contains(&x) && z > 5));
+        let left = bridges_or_feet(&held, &loose, &beside, || unreachable!());
+        assert!(!left.is_empty());
     }
 }

@@ -8,13 +8,13 @@
 //! chosen anew (`fewest`). Cuts that an earlier plan for nearly the same took come first.
 
 use super::MENDABLE_SHARE;
-use super::bridges::bridges;
+use super::bridges::bridges_or_feet;
 use super::coarse::Coarse;
 use super::reach::{Reach, SHORTER_TOOL_SHARE, bounds, bounds_along, choose, gains};
 use super::setting::Setting;
 use crate::access::{Close, Scene, over_cut};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
-use crate::machine::Tool;
+use crate::machine::{Holding, HoldingMode, Tool};
 use crate::plan::{Action, Origin, Step, StepKind};
 use crate::region::steady;
 use crate::voxel::BitGrid;
@@ -355,7 +355,13 @@ impl<'s, 'a> Cutter<'s, 'a> {
             if loose.is_empty() {
                 return region;
             }
-            let bridges = bridges(&held, &loose, &region);
+            let feet = || match job.rules.holding {
+                HoldingMode::Base => {
+                    Holding::AS_CLAMPED.contact(&region, &job.frame, job.rules.grip_mm)
+                }
+                HoldingMode::Refixture => BitGrid::new(region.dims()),
+            };
+            let bridges = bridges_or_feet(&held, &loose, &region, feet);
             tracing::debug!(loose = loose.count(), bridges = bridges.count(), "bridge");
             if bridges.is_empty() {
                 break;
@@ -451,6 +457,31 @@ mod tests {
     use super::super::local_tests::job_of;
     use super::*;
     use crate::voxel::Frame;
+
+    /// A leg on a block of its own, which stood because its cut would have freed the leg from all sides.
+    #[test]
+    fn what_carries_a_piece_apart_is_cut_but_for_a_foot() {
+        let frame = Frame { pitch: 1.0, dims: [34, 26, 24], origin: DVec3::ZERO };
+        let main = |[x, y, z]: [usize; 3]| x < 12 && (4..22).contains(&y) && z < 20;
+        let apart = |[x, y, z]: [usize; 3]| (20..32).contains(&x) && (8..18).contains(&y) && z < 20;
+        let initial = BitGrid::from_fn(frame.dims, |v| main(v) || apart(v));
+        let target = BitGrid::from_fn(frame.dims, |v| main(v) || apart(v) && v[2] >= 12);
+        let job = job_of(frame, initial, target, |t| t.name == "ball-3x30");
+        let (setting, coarse) = (Setting::new(&job), Coarse::of(&job));
+        let removable = job.initial.minus(&job.target);
+        let cuts = Cuts {
+            removable: &removable,
+            deep: &removable,
+            samples: 20,
+            before: &[],
+            patient: false,
+        };
+        let cut = cut_blocks(&setting, &coarse, &cuts, &Ctx::quiet()).unwrap();
+        let left = cut.unreached.count();
+        assert!(left > 0 && 4 * left < removable.count(), "{left} of {}", removable.count());
+        let held = |solid: &BitGrid| steady(solid, &frame, job.rules.holding, job.rules.grip_mm);
+        assert_eq!(held(&cut.state), cut.state);
+    }
 
     /// On a bracket five directions in vain hid those along which half of the supports could be had.
     #[test]

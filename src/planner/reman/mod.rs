@@ -418,7 +418,10 @@ fn one_round(
     }
     best = with_pits(&mut run, best, None)?;
     best = with_crumbs(&mut run, best)?;
+    // The strategies of Fig. 14 are there to compare what planes alone keep.
+    let is_compared = matches!(options.search, Search::TopDown | Search::BottomUp);
     if options.finish_mm == 0.0
+        && !is_compared
         && let Some(made) = keeping_more(&mut run, &best)?
     {
         aside = made.printed_aside(job).count();
