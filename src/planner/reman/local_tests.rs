@@ -6,7 +6,7 @@ use super::local::{Element, Scope};
 use super::refine::refine;
 use super::round::{Attempt, volumes};
 use super::setting::Setting;
-use super::{Clock, Options, Report, Run, Start, plane_normals};
+use super::{Clock, Options, Report, Run, Start, comes_first, plane_normals};
 use crate::base::{Ctx, DVec3, Direction};
 use crate::machine::{Machine, Tool, ToolKind};
 use crate::mesh::TriMesh;
@@ -179,4 +179,36 @@ fn a_pocket_open_below_counts_beside_other_placements() {
     };
     assert_eq!(made.rank(&job).0, 0, "no plane mends it");
     assert!(made.standing(&job, made.volumes.reused.count()).class > 0);
+}
+
+/// A blade gave up a slice of itself because of twenty voxels in a crease, which the needle nozzle fills.
+#[test]
+fn crumbs_are_no_reason_to_give_more_up() {
+    let job = job();
+    let whole = volumes(&job, &[]);
+    let missing = |n: usize| {
+        let mut deficit = BitGrid::new(job.frame.dims);
+        job.target.iter_ones().take(n).for_each(|v| deficit.set(v, true));
+        deficit
+    };
+    let made = |offset: f64, deficit: BitGrid| {
+        let clip = Clip::global(Plane { normal: Direction::Z, offset });
+        Attempt {
+            volumes: volumes(&job, std::slice::from_ref(&clip)),
+            clips: vec![clip],
+            steps: Vec::new(),
+            cuts: 0,
+            stock: job.initial.clone(),
+            excess: BitGrid::new(job.frame.dims),
+            deficit,
+            below: BitGrid::new(job.frame.dims),
+        }
+    };
+    let few = job.target.count() / 1000;
+    let high = |n: usize| made(100.0, missing(n));
+    assert_eq!(high(0).volumes.reused, whole.reused);
+    let low = made(18.0, missing(0));
+    assert!(comes_first(&high(few), &low, &job));
+    assert!(!comes_first(&high(few + 1), &low, &job), "more than crumbs");
+    assert!(!comes_first(&high(few), &high(0), &job), "nothing more is kept");
 }

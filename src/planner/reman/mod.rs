@@ -489,12 +489,19 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
         false => None,
     };
     Ok(match local {
-        Some((local, for_supports)) if for_supports || local.rank(job) < global.rank(job) => {
+        Some((local, for_supports)) if for_supports || comes_first(&local, &global, job) => {
             vec![local, global]
         }
         _ if enough => vec![global],
         _ => vec![improved(run, global)?],
     })
+}
+
+/// Whether a plan with local planes goes on before one with global planes: where it ranks higher, or where it leaves
+/// crumbs for more that it keeps. Crumbs are no reason to give more up; the tools of the last resort may leave none.
+fn comes_first(local: &Attempt, global: &Attempt, job: &Job) -> bool {
+    let is_worth_it = local.leaves_crumbs(job) && local.keeps_more_than(global, job);
+    local.rank(job) < global.rank(job) || is_worth_it
 }
 
 fn check(job: &Job, options: &Options) -> Result<(), PlanError> {

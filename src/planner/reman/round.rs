@@ -3,6 +3,7 @@
 use super::clip::Clip;
 use super::coarse::Coarse;
 use super::cutting::{Cuts, cut_blocks};
+use super::locals::WORTH_SHARE;
 use super::printing::{Patience, Printing, Share, Wanted, leaves_none, print_blocks, print_crumbs};
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
@@ -20,6 +21,9 @@ const MENDING_VOXELS: usize = 400_000;
 /// What is left standing or missing counts as much as so many times its volume printed anew: it is
 /// work by hand, or scrap. At 1 a plan would rather miss the tip of an ear than print it.
 pub const RESIDUAL_WEIGHT: usize = 10;
+
+/// Share of the target that may be left as crumbs: specks and creases, of which finer tools may leave none.
+const MOST_CRUMBS: f64 = 1e-3;
 
 /// Share of the target that may be given up to leave nothing at all.
 pub const COMPLETION_SHARE: f64 = 0.05;
@@ -104,6 +108,17 @@ impl Attempt {
     pub fn printed(&self) -> usize {
         let additive = self.steps.iter().filter(|s| s.kind == StepKind::Additive);
         additive.map(|s| s.region.count()).sum::<usize>() + self.deficit.count()
+    }
+
+    /// Whether it leaves so little that no plane is worth giving anything up for it.
+    pub fn leaves_crumbs(&self, job: &Job) -> bool {
+        self.left() as f64 <= MOST_CRUMBS * job.target.count() as f64
+    }
+
+    /// Whether it keeps more than another by what makes other planes worth a try.
+    pub fn keeps_more_than(&self, other: &Attempt, job: &Job) -> bool {
+        let more = self.volumes.reused.count() as f64 - other.volumes.reused.count() as f64;
+        more >= WORTH_SHARE * job.target.count() as f64
     }
 
     /// Whether what it leaves is within the rules' deviation.
