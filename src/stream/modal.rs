@@ -172,6 +172,12 @@ impl Modal {
         if words.iter().any(|w| w.letter == 'M' && w.value == 6.0) {
             self.loaded = self.tool;
         }
+        // The tool that is in the spindle already is told, not changed.
+        if words.iter().any(|w| w.letter == 'M' && w.value == 61.0)
+            && let Some(q) = value('Q').and_then(tenths)
+        {
+            (self.tool, self.loaded) = (Some(q / 10), Some(q / 10));
+        }
         if dwell {
             let s = value('P').unwrap_or(0.0).max(0.0);
             return Effect { seconds: s, dwell_s: s, moves: false };
@@ -355,6 +361,8 @@ mod tests {
 
     #[test]
     fn the_state_is_what_the_words_say() {
+        let (m, _) = run("T1 M6\nM61 Q4");
+        assert_eq!((m.tool, m.loaded), (Some(4), Some(4)), "told, not changed");
         let (m, _) = run("G21\nG90\nT3 M6\nG43 H3\nS8000 M3\nM8\nG53 G0 Z700\nG0 X1 Y2\nF500");
         assert_eq!((m.loaded, m.length, m.spindle), (Some(3), Some(3), Spindle::Clockwise));
         assert_eq!((m.machine[2], m.work[2], m.work[0]), (Some(700.0), None, Some(1.0)));

@@ -484,6 +484,7 @@ impl Grbl {
                 'A' | 'B' | 'C' if !self.hal() => return Err(20),
                 'N' | 'X' | 'Y' | 'Z' | 'A' | 'B' | 'C' | 'I' | 'J' | 'K' | 'R' | 'F' | 'S'
                 | 'T' | 'P' | 'L' | 'H' => {}
+                'Q' if self.hal() => {}
                 _ => return Err(20),
             }
         }
@@ -514,10 +515,12 @@ impl Grbl {
             true => code(&[20, 30]),
             false => matches!(self.modal.way, Way::Arc { .. }) && moves,
         };
+        let names_tool = words.iter().any(|w| w.letter == 'M' && w.value == 61.0);
         let mine = |letter: char| match letter {
             'P' => dwell || stores || other || arc,
             'L' => stores || other,
             'H' => lengths,
+            'Q' => other || names_tool,
             'I' | 'J' | 'K' | 'R' => arc || stores || other,
             'X' | 'Y' | 'Z' | 'A' | 'B' | 'C' => !dwell,
             _ => true,
@@ -525,6 +528,7 @@ impl Grbl {
         match () {
             () if dwell && !has('P') => Err(28),
             () if stores && !(has('P') && has('L')) => Err(28),
+            () if names_tool && !has('Q') => Err(28),
             () if code(&[50, 51]) && !any("IJ") => Err(35),
             () if arc && !moves => Err(26),
             () if arc && !any("IJKR") => Err(35),
@@ -561,5 +565,27 @@ impl Grbl {
         self.asked += 1;
         text.push('>');
         self.say(&text);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Sim, SimSetup};
+    use crate::stream::Dialect;
+
+    /// A stopped job is gone on with by a line that the controller refused: M61 takes its tool from Q.
+    #[test]
+    fn the_tool_in_the_spindle_can_be_told() {
+        let answer = |line: &str| {
+            let mut sim = Sim::new(SimSetup::new(Dialect::GrblHal));
+            sim.advance(0);
+            sim.take();
+            sim.receive(line.as_bytes(), 0);
+            sim.advance(1_000_000);
+            String::from_utf8(sim.take()).unwrap().trim().to_string()
+        };
+        assert_eq!(answer("M61 Q2\n"), "ok");
+        assert_eq!(answer("M61\n"), "error:28");
+        assert_eq!(answer("G0 Q2\n"), "error:36");
     }
 }
