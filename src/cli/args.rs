@@ -2,6 +2,7 @@
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use hmplan::machine::Place;
+use hmplan::plan::MOST_RULE_MM;
 use std::path::PathBuf;
 
 /// Plans hybrid additive-subtractive manufacturing: from a worn part to a target part, every cut
@@ -137,7 +138,7 @@ pub struct PlanArgs {
     #[arg(long, default_value_t = 1.0, value_name = "F", value_parser = not_negative, help_heading = "Search")]
     pub weight: f64,
     /// Fraction of the target by which a plan of planner search may be off (δ)
-    #[arg(long, default_value_t = 0.01, value_name = "F", value_parser = not_negative, help_heading = "Search")]
+    #[arg(long, default_value_t = 0.01, value_name = "F", value_parser = share, help_heading = "Search")]
     pub delta: f64,
     /// Most steps of a plan of planner search
     #[arg(long, default_value_t = 10, value_name = "N",
@@ -148,7 +149,7 @@ pub struct PlanArgs {
     pub rotations: String,
     /// Overhang that carries itself in planner search, degrees; below 45 only columns do
     #[arg(long, default_value_t = hmplan::base::tolerance::OVERHANG_DEG, value_name = "DEG",
-          value_parser = not_negative, help_heading = "Search")]
+          value_parser = angle, help_heading = "Search")]
     pub overhang: f64,
     /// Let the lower bound of planner search count what must be sacrificed
     #[arg(long, help_heading = "Search")]
@@ -264,7 +265,7 @@ pub struct RuleArgs {
     #[arg(long, value_name = "MM", value_parser = positive)]
     pub resolution: Option<f64>,
     /// Unreached material this close to the reused volume is skin [default: max(1.5 voxels, 0.5)]
-    #[arg(long, value_name = "MM", value_parser = not_negative)]
+    #[arg(long, value_name = "MM", value_parser = rule_mm)]
     pub tolerance: Option<f64>,
     /// What carries the part: a pedestal and table that tools must not touch, or nothing
     /// [default: pedestal, none for planner nullify]
@@ -274,7 +275,7 @@ pub struct RuleArgs {
     #[arg(long, value_enum, default_value_t = HoldingArg::Base)]
     pub holding: HoldingArg,
     /// Height over the base plane that counts as held, mm [default: max(2 voxels, 2)]
-    #[arg(long, value_name = "MM", value_parser = not_negative)]
+    #[arg(long, value_name = "MM", value_parser = rule_mm)]
     pub grip: Option<f64>,
 }
 
@@ -514,6 +515,29 @@ fn positive(text: &str) -> Result<f64, String> {
 fn tool_cost(text: &str) -> Result<(String, f64), String> {
     let (tool, cost) = text.rsplit_once('=').ok_or("give TOOL=F, as long-cutter=0.2")?;
     Ok((tool.into(), not_negative(cost)?))
+}
+
+/// A length of the rules, mm.
+fn rule_mm(text: &str) -> Result<f64, String> {
+    between(text, MOST_RULE_MM)
+}
+
+/// A share of the whole.
+fn share(text: &str) -> Result<f64, String> {
+    between(text, 1.0)
+}
+
+/// An angle from a direction, degrees.
+fn angle(text: &str) -> Result<f64, String> {
+    between(text, 90.0)
+}
+
+/// A number from 0 to `most`.
+fn between(text: &str, most: f64) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.0..=most).contains(&v) => Ok(v),
+        _ => Err(format!("give a number from 0 to {most}")),
+    }
 }
 
 /// A finite number not below 0.

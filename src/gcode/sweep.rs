@@ -308,6 +308,8 @@ fn unswept(
     slack: f64,
 ) -> Vec<DVec3> {
     let plane = lowest.plane;
+    // No two of them are farther apart across the direction; more would only be looked through.
+    let slack = slack.min((lowest.cells.end() - lowest.cells.origin).length());
     let reach = tool.active_radius() + slack;
     let near = offsets(reach / lowest.cells.side);
     let seen = |p: DVec3| (plane.across(p), plane.height(p));

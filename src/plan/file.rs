@@ -20,6 +20,9 @@ use serde::{Deserialize, Serialize};
 /// Name and version of the layout. It changes when a field changes its meaning or goes.
 pub const SCHEMA: &str = "hmplan-plan/1";
 
+/// Largest length among the rules of a plan, mm: as large as a tool may be.
+pub const MOST_RULE_MM: f64 = 1e4;
+
 /// Bits that all regions of one plan may take together, each from its first row to its last: 4 GiB.
 /// A plan of 8 million voxels may have 4,000 steps that span all layers, or 100,000 of some layers
 /// each; a larger bound would let a few bytes of file claim all memory.
@@ -288,8 +291,8 @@ pub enum FileError {
     Tool(#[from] InvalidTool),
     #[error("its machine: {0}")]
     Machine(String),
-    #[error("rules.{name} is {value}; it must be finite and not below 0")]
-    Rule { name: &'static str, value: f64 },
+    #[error("rules.{name} is {value}; it must be from 0 to {most}")]
+    Rule { name: &'static str, value: f64, most: f64 },
     #[error("holding {holding}: its up direction is no grid axis, or its height is not finite")]
     Holding { holding: usize },
 }
@@ -342,15 +345,15 @@ impl PlanFile {
             }
         }
         let r = &self.rules;
-        for (name, value) in [
-            ("tolerance_mm", r.tolerance_mm),
-            ("grip_mm", r.grip_mm),
-            ("nozzle_dip_mm", r.nozzle_dip_mm),
-            ("overhang_deg", r.overhang_deg),
-            ("deviation", r.deviation),
+        for (name, value, most) in [
+            ("tolerance_mm", r.tolerance_mm, MOST_RULE_MM),
+            ("grip_mm", r.grip_mm, MOST_RULE_MM),
+            ("nozzle_dip_mm", r.nozzle_dip_mm, MOST_RULE_MM),
+            ("overhang_deg", r.overhang_deg, 90.0),
+            ("deviation", r.deviation, 1.0),
         ] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(FileError::Rule { name, value });
+            if !(0.0..=most).contains(&value) {
+                return Err(FileError::Rule { name, value, most });
             }
         }
         for (holding, h) in self.holdings.iter().enumerate() {

@@ -122,7 +122,7 @@ fn timings_do_not_reach_the_canonical_form() {
 #[test]
 fn hostile_figures_are_refused_by_name() {
     type Change = fn(&mut PlanFile);
-    let cases: [(&str, Change); 13] = [
+    let cases: [(&str, Change); 16] = [
         ("schema", |f| f.schema = "hmplan-plan/9".into()),
         ("grid", |f| f.grid.dims = [usize::MAX, usize::MAX, 2]),
         ("grid", |f| f.grid.dims = [0, 1, 1]),
@@ -141,6 +141,9 @@ fn hostile_figures_are_refused_by_name() {
         ("transform", |f| f.inputs.target.transform[0] = 2.0),
         ("mm_per_unit", |f| f.inputs.initial.as_mut().unwrap().mm_per_unit = 0.0),
         ("tolerance_mm", |f| f.rules.tolerance_mm = -1.0),
+        ("tolerance_mm", |f| f.rules.tolerance_mm = 1e300),
+        ("overhang_deg", |f| f.rules.overhang_deg = 1e300),
+        ("deviation", |f| f.rules.deviation = 1.5),
     ];
     for (word, change) in cases {
         let mut file = example();

@@ -16,8 +16,8 @@ mod state;
 mod step;
 
 pub use file::{
-    Command, FileError, Input, Inputs, MOST_STATE_BITS, PlanFile, ProgramRecord, SCHEMA,
-    SearchCommand, Seconds, StepRecord, Summary,
+    Command, FileError, Input, Inputs, MOST_RULE_MM, MOST_STATE_BITS, PlanFile, ProgramRecord,
+    SCHEMA, SearchCommand, Seconds, StepRecord, Summary,
 };
 pub use job::{Job, Rules};
 pub use operation::{Deed, Operation, Orientation};

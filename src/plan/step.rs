@@ -25,7 +25,8 @@ pub enum Action {
 pub struct Plane {
     #[schemars(with = "[f64; 3]")]
     pub normal: Direction,
-    #[serde(rename = "offset_mm")]
+    /// mm; earlier files call it `offset_mm`.
+    #[serde(alias = "offset_mm")]
     pub offset: f64,
 }
 
