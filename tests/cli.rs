@@ -73,7 +73,9 @@ fn bad_flags_are_bad_usage() {
     for (flags, words) in [
         (&["--resolution", "0"][..], "above 0"),
         (&["--resolution", "nan"], "above 0"),
-        (&["--tolerance=-1"], "not below 0"),
+        (&["--tolerance=-1"], "from 0 to"),
+        (&["--tolerance", "1e9"], "from 0 to"),
+        (&["--grip", "nan"], "from 0 to"),
         (&["--up", "w"], "possible values"),
         (&["--threads", "0"], "1..=1024"),
         (&["--machine", "no-such-machine"], "no-such-machine"),
@@ -92,7 +94,8 @@ fn bad_flags_are_bad_usage() {
         (&["--finish=0.5", "--planner", "nullify"], "planner reman"),
         (&["--planner", "search", "--rotations", "8"], "possible values"),
         (&["--planner", "search", "--tool-cost", "long-cutter"], "TOOL=F"),
-        (&["--planner", "search", "--delta=-1"], "not below 0"),
+        (&["--planner", "search", "--delta=-1"], "from 0 to 1"),
+        (&["--planner", "search", "--overhang", "1e300"], "from 0 to 90"),
         (&["--planner", "blocks"], "planner blocks is not in version"),
         (&["--nonsense"], "--nonsense"),
         (&["-q", "-v"], "cannot be used with"),
@@ -329,6 +332,56 @@ fn profiles_are_listed_and_shown() {
         hmplan().args(["tool", "show", name]).assert().success().stdout(contains(name));
     }
     refused(hmplan().args(["tool", "show", "excavator"]), "w2v-cutter");
+}
+
+#[test]
+fn profiles_and_ports_are_one_json_object_if_asked() {
+    for (words, key) in [
+        (&["machine", "list"][..], "names"),
+        (&["tool", "list"], "names"),
+        (&["machine", "show", "generic-5axis"], "tool"),
+        (&["tool", "show", "w2v-cutter"], "section"),
+        (&["stream", "--list-ports"], "ports"),
+    ] {
+        let output = hmplan().args(words).arg("--json").output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{words:?}");
+        let object: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert!(object[key].is_array(), "{words:?}: {object}");
+    }
+}
+
+/// A log that cannot be written used to cost the plan.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_standard_error_costs_no_plan() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_hmplan"));
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).stderr(full);
+    command.args(["plan", "fixtures/same_initial.obj", "fixtures/same_target.obj", "-v", "-o"]);
+    let status = command.arg(&dir).args(["--setup", "keep", "--resolution", "1"]).output();
+    assert_eq!(status.unwrap().status.code(), Some(0));
+    assert!(dir.join("plan.json").is_file());
+}
+
+#[test]
+fn a_tool_that_is_not_there_costs_nothing_and_is_named() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    let mut command = plan(&dir, &["--planner", "search", "--tool-cost", "hammer=5"]);
+    refused(&mut command, "hammer");
+    assert!(!dir.exists());
+}
+
+#[test]
+fn a_schedule_does_not_take_the_place_of_the_plan() {
+    let out = tempfile::tempdir().unwrap();
+    let dir = out.path().join("d");
+    let own = dir.join("plan.json");
+    let mut command = plan(&dir, &["--planner", "nullify", "--schedule", own.to_str().unwrap()]);
+    refused(&mut command, "plan.json");
+    assert!(!dir.exists());
 }
 
 #[test]
@@ -574,6 +627,17 @@ fn verify_fails_after_any_change() {
     change(&format!("\"voxels\": {voxels}"), &format!("\"voxels\": {}", voxels + 1), "step 1");
     change("\"switches\": ", "\"switches\": 1", "summary.switches");
     change(&file.inputs.target.sha256, &"0".repeat(64), "bearing_target.obj");
+
+    // A tolerance as long as the machine is only looked through as far as there is anything.
+    let rule = format!("\"tolerance_mm\": {:?}", file.rules.tolerance_mm);
+    for (value, want) in [("10000.0", 0), ("1e100", 1)] {
+        assert!(plan_text.contains(&rule), "{rule}");
+        let wide = plan_text.replacen(&rule, &format!("\"tolerance_mm\": {value}"), 1);
+        fs::write(dir.join("plan.json"), wide).unwrap();
+        let (code, text) = verify();
+        assert_eq!(code, Some(want), "{value}: {text}");
+    }
+    fs::write(dir.join("plan.json"), &plan_text).unwrap();
 
     let program = fs::read_to_string(dir.join("out.gcode")).unwrap();
     let altered = program.replacen("G1 Z", "G1 Z-", 1);

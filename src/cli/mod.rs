@@ -52,8 +52,8 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
     match cli.command {
         Command::Plan(args) => plan::run(&config::resolve(&args)?, &cli.output),
         Command::Verify(args) => verify::run(&args.dir, args.schedule.as_deref(), &cli.output),
-        Command::Machine { action } => profiles::machine(&action),
-        Command::Tool { action } => profiles::tool(&action),
+        Command::Machine { action } => profiles::machine(&action, &cli.output),
+        Command::Tool { action } => profiles::tool(&action, &cli.output),
         Command::Completions { shell } => completions(shell),
         Command::Schema { of } => schema(of),
         Command::Analyze(args) => analyze::run(&args, &cli.output),
@@ -74,6 +74,8 @@ fn start(output: &OutputArgs) -> Result<(), Failure> {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
+        // It would report a log that cannot be written there, and panic: a lost line is no reason to lose the plan.
+        .log_internal_errors(false)
         .without_time()
         .init();
     let threads = output.threads.map_or(0, usize::from);
@@ -97,6 +99,11 @@ fn schema(of: SchemaOf) -> Result<Exit, Failure> {
     };
     let text = serde_json::to_string_pretty(&schema).map_err(|e| Failure::Io(e.to_string()))?;
     print(format!("{text}\n").as_bytes())
+}
+
+/// One JSON object.
+fn print_json(object: &serde_json::Value) -> Result<Exit, Failure> {
+    print(format!("{object:#}\n").as_bytes())
 }
 
 /// Writes to standard output. A reader that went away (`| head`) is no failure.

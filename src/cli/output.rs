@@ -18,6 +18,10 @@ pub const DEVIATION: &str = "deviation.ply";
 pub const ANALYSIS: &str = "analysis.json";
 pub const COLOURS: &str = "surface.ply";
 
+/// What files of a step and files of all steps are called.
+pub const STEP_KINDS: [&str; 2] = ["subtractive", "additive"];
+pub const TOTALS: [&str; 3] = ["reused", "removed", "added"];
+
 /// A kind of output directory.
 #[derive(Debug)]
 pub struct Kind {
@@ -77,6 +81,28 @@ impl Destination {
         // Better to fail now than after minutes of planning.
         drop(destination.begin()?);
         Ok(destination)
+    }
+
+    /// Fails where a file that is asked for besides would be one of the directory's own.
+    ///
+    /// # Errors
+    /// Input.
+    pub fn refuse_own(&self, file: &Path) -> Result<(), Failure> {
+        let absolute = std::path::absolute(file).map_err(|e| Failure::writing(file, &e))?;
+        let folder = absolute.parent().and_then(|p| p.canonicalize().ok());
+        let place = match (folder, absolute.file_name()) {
+            (Some(folder), Some(name)) => folder.join(name),
+            _ => absolute,
+        };
+        let first = place.strip_prefix(&self.dir).ok().and_then(|p| p.iter().next());
+        match first.is_some_and(|f| self.kind.ours.iter().any(|ours| f == *ours)) {
+            true => Err(Failure::Input(format!(
+                "{} is a file of the {} itself; name another",
+                file.display(),
+                self.kind.noun
+            ))),
+            false => Ok(()),
+        }
     }
 
     /// A new, empty directory beside the destination.
@@ -193,15 +219,35 @@ fn exchange_by_renames(new: &Path, dir: &Path, aside: &Path) -> io::Result<()> {
     fs::rename(aside, new)
 }
 
-/// Carries over what a person put beside an earlier plan.
+/// Carries over what a person put beside an earlier plan, and into its folders.
 fn keep_foreign(old: &Path, dir: &Path, kind: &Kind) -> io::Result<()> {
     for entry in fs::read_dir(old)? {
-        let name = entry?.file_name();
+        let entry = entry?;
+        let name = entry.file_name();
+        let (from, to) = (old.join(&name), dir.join(&name));
         if !kind.ours.iter().any(|ours| name == *ours) {
-            fs::rename(old.join(&name), dir.join(&name))?;
+            fs::rename(from, to)?;
+        } else if entry.file_type()?.is_dir() {
+            for inner in fs::read_dir(&from)? {
+                let inner = inner?.file_name();
+                if !is_of_a_step(&inner.to_string_lossy()) {
+                    fs::create_dir_all(&to)?;
+                    fs::rename(from.join(&inner), to.join(&inner))?;
+                }
+            }
         }
     }
     Ok(())
+}
+
+/// Whether a file is named as those that are written for a step, or for all: `01-additive.stl`, `reused.stl`.
+fn is_of_a_step(name: &str) -> bool {
+    let Some((stem, "stl" | "gcode")) = name.rsplit_once('.') else { return false };
+    let is_number = |n: &str| n.len() >= 2 && n.bytes().all(|b| b.is_ascii_digit());
+    match stem.split_once('-') {
+        Some((number, kind)) => is_number(number) && STEP_KINDS.contains(&kind),
+        None => TOTALS.contains(&stem),
+    }
 }
 
 fn remove_tree(path: &Path) -> io::Result<()> {
@@ -248,6 +294,32 @@ mod tests {
         assert_eq!(names(&dir), ["notes.txt", PLAN, STATES]);
         assert_eq!(names(&dir.join(STATES)), ["02-additive.stl"]);
         assert_eq!(names(&home.path().join("deep")), ["out"], "no litter beside it");
+    }
+
+    #[test]
+    fn what_a_person_put_among_the_states_is_kept() {
+        let home = tempfile::tempdir().unwrap();
+        let dir = home.path().join("out");
+        publish(&dir, &[PLAN, "states/01-additive.stl", "states/reused.stl"]);
+        for mine in ["notes.txt", "01-additive.png", "7-additive.stl", "mine.stl"] {
+            fs::write(dir.join(STATES).join(mine), "mine").unwrap();
+        }
+        publish(&dir, &[PLAN]);
+        let kept = ["01-additive.png", "7-additive.stl", "mine.stl", "notes.txt"];
+        assert_eq!(names(&dir.join(STATES)), kept);
+    }
+
+    #[test]
+    fn a_file_beside_is_none_of_the_plan() {
+        let home = tempfile::tempdir().unwrap();
+        let dir = home.path().join("out");
+        publish(&dir, &[PLAN]);
+        let destination = Destination::claim(&dir).unwrap();
+        for own in [PLAN, PROGRAM, "states/01-additive.stl"] {
+            assert_eq!(destination.refuse_own(&dir.join(own)).unwrap_err().exit() as u8, 1);
+        }
+        destination.refuse_own(&dir.join("schedule.txt")).unwrap();
+        destination.refuse_own(&home.path().join(PLAN)).unwrap();
     }
 
     #[test]

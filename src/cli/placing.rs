@@ -397,6 +397,17 @@ fn prepare(
             Taken::LastResort | Taken::NarrowGaps => config.search.is_none(),
         });
     }
+    let costs = config.search.iter().flat_map(|s| &s.tool_costs);
+    for (name, _) in costs {
+        let tools = cutters.iter().chain(&nozzles);
+        if tools.clone().all(|t| t.name != *name) {
+            let names: Vec<&str> = tools.map(|t| t.name.as_str()).collect();
+            return Err(Failure::Input(format!(
+                "--tool-cost {name}: planner search has no such tool here; it has {}",
+                names.join(", ")
+            )));
+        }
+    }
     let mut rules = Rules::for_pitch(frame.pitch, layer_mm(&nozzles));
     rules.holding = config.rules.holding;
     rules.base = config.rules.base;

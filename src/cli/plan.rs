@@ -48,6 +48,8 @@ impl Clock {
 pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     let mut clock = Clock::start();
     let destination = Destination::claim(&config.output)?;
+    let besides = config.schedule.iter().chain(&config.trace);
+    besides.into_iter().try_for_each(|file| destination.refuse_own(file))?;
     let ctx = context(output, config.time_limit_s, config.seed)?;
     let mut parts = load(config, &mut clock)?;
     let places = places(&mut parts, config, &ctx, &mut clock)?;

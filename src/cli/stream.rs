@@ -18,6 +18,9 @@ use std::sync::Arc;
 pub fn run(args: &StreamArgs, output: &OutputArgs) -> Result<Exit, Failure> {
     if args.list_ports {
         let ports = stream::list();
+        if output.json {
+            return super::print_json(&serde_json::json!({ "ports": ports }));
+        }
         let text =
             if ports.is_empty() { "no serial ports\n".into() } else { ports.join("\n") + "\n" };
         return print(text.as_bytes());
