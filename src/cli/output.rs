@@ -3,6 +3,7 @@
 //! as it was, and no file of an earlier plan survives beside a new one.
 
 use super::exit::Failure;
+use hmplan::plan::StepKind;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -18,9 +19,16 @@ pub const DEVIATION: &str = "deviation.ply";
 pub const ANALYSIS: &str = "analysis.json";
 pub const COLOURS: &str = "surface.ply";
 
-/// What files of a step and files of all steps are called.
-pub const STEP_KINDS: [&str; 2] = ["subtractive", "additive"];
+/// What files of all steps are called.
 pub const TOTALS: [&str; 3] = ["reused", "removed", "added"];
+
+/// What files of a step of a kind are called, after its number.
+pub fn kind_name(kind: StepKind) -> &'static str {
+    match kind {
+        StepKind::Subtractive => "subtractive",
+        StepKind::Additive => "additive",
+    }
+}
 
 /// A kind of output directory.
 #[derive(Debug)]
@@ -243,9 +251,10 @@ fn keep_foreign(old: &Path, dir: &Path, kind: &Kind) -> io::Result<()> {
 /// Whether a file is named as those that are written for a step, or for all: `01-additive.stl`, `reused.stl`.
 fn is_of_a_step(name: &str) -> bool {
     let Some((stem, "stl" | "gcode")) = name.rsplit_once('.') else { return false };
+    let kinds = [StepKind::Subtractive, StepKind::Additive].map(kind_name);
     let is_number = |n: &str| n.len() >= 2 && n.bytes().all(|b| b.is_ascii_digit());
     match stem.split_once('-') {
-        Some((number, kind)) => is_number(number) && STEP_KINDS.contains(&kind),
+        Some((number, kind)) => is_number(number) && kinds.contains(&kind),
         None => TOTALS.contains(&stem),
     }
 }

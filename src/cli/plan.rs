@@ -133,10 +133,7 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     }
     if config.program_steps {
         for (i, (text, step)) in posted.steps.iter().zip(&plan.steps).enumerate() {
-            let kind = match step.kind {
-                StepKind::Subtractive => "subtractive",
-                StepKind::Additive => "additive",
-            };
+            let kind = output::kind_name(step.kind);
             let name = format!("{}/{:02}-{kind}.gcode", output::PROGRAMS, i + 1);
             draft.write(&name, |out| out.write_all(text.as_bytes()))?;
         }
@@ -206,24 +203,19 @@ fn write_states(draft: &output::Draft, job: &Job, plan: &Plan, ctx: &Ctx) -> Res
     let mut state = job.initial.clone();
     let mut shown: Vec<(String, BitGrid)> = Vec::new();
     for (i, step) in plan.steps.iter().enumerate() {
-        let kind = match step.kind {
-            StepKind::Subtractive => {
-                state.subtract(&step.region);
-                "subtractive"
-            }
-            StepKind::Additive => {
-                state.union_with(&step.region);
-                "additive"
-            }
-        };
+        match step.kind {
+            StepKind::Subtractive => state.subtract(&step.region),
+            StepKind::Additive => state.union_with(&step.region),
+        }
         // Of thousands of steps nobody looks at each.
         if (i + 1) % stride == 0 || i + 1 == plan.steps.len() {
+            let kind = output::kind_name(step.kind);
             shown.push((format!("{:02}-{kind}", i + 1), state.clone()));
         }
     }
     let end = end_state(job, plan);
-    let totals = [("reused", end.reused), ("removed", end.removed), ("added", end.added)];
-    let totals = totals.map(|(name, grid)| (String::from(name), grid));
+    let grids = [end.reused, end.removed, end.added];
+    let totals: Vec<_> = output::TOTALS.map(String::from).into_iter().zip(grids).collect();
     let write = |run: &[(String, BitGrid)]| -> Result<(), Failure> {
         let mut last: Option<Skin> = None;
         for (name, grid) in run {

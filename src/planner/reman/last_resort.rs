@@ -18,7 +18,7 @@
 use super::clip::Clip;
 use super::cutting::{Cuts, cut_blocks};
 use super::printing::{
-    OnSupports, Patience, Printing, Wanted, leaves_none, print_blocks, print_crumbs,
+    MOST_CRUMBS, OnSupports, Patience, Printing, Wanted, leaves_none, print_blocks, print_crumbs,
     print_on_supports,
 };
 use super::reach::within_reach;
@@ -41,9 +41,6 @@ const MOST_RISES: usize = 2;
 
 /// How far around what was missing is printed first, mm: enough for a block with a bead in it.
 const AHEAD_MM: f64 = 1.5;
-
-/// Share of the target that may be missing for that: more is no matter of crumbs in a crease.
-const MOST_CRUMBS: f64 = 1e-3;
 
 /// How far, in voxels, from what the cutters left of a support others are looked at: carriers of the
 /// same voxel and what carries them.

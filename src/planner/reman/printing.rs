@@ -123,7 +123,7 @@ const MANY_BLOCKS: usize = 50;
 
 /// Share of the target that may be missing for blocks as small as what is missing; of small parts
 /// no more than so many blocks of the usual least size.
-const MOST_CRUMBS: f64 = 1e-3;
+pub const MOST_CRUMBS: f64 = 1e-3;
 const FEW_BLOCKS: f64 = 4.0;
 
 /// With a crumb, all that is missing so far around it is printed, mm: a bead or two.

@@ -4,7 +4,9 @@ use super::clip::Clip;
 use super::coarse::Coarse;
 use super::cutting::{Cuts, cut_blocks};
 use super::locals::WORTH_SHARE;
-use super::printing::{Patience, Printing, Share, Wanted, leaves_none, print_blocks, print_crumbs};
+use super::printing::{
+    MOST_CRUMBS, Patience, Printing, Share, Wanted, leaves_none, print_blocks, print_crumbs,
+};
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
 use super::{MENDABLE_SHARE, Options, Standing, Start};
@@ -21,9 +23,6 @@ const MENDING_VOXELS: usize = 400_000;
 /// What is left standing or missing counts as much as so many times its volume printed anew: it is
 /// work by hand, or scrap. At 1 a plan would rather miss the tip of an ear than print it.
 pub const RESIDUAL_WEIGHT: usize = 10;
-
-/// Share of the target that may be left as crumbs: specks and creases, of which finer tools may leave none.
-const MOST_CRUMBS: f64 = 1e-3;
 
 /// Share of the target that may be given up to leave nothing at all.
 pub const COMPLETION_SHARE: f64 = 0.05;
