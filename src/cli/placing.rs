@@ -6,10 +6,11 @@
 //! full and the best plan is kept. Where planner search begins with nothing, the candidates are the six
 //! ways of putting the target on the table, its file's first; those from which a first over-fill misses
 //! most come last. They are planned until a search ends within δ of the target. Asked for none in
-//! particular, the others have a say only where the plan of the first keeps little of what both parts
-//! have in common there, or leaves anything: each is then looked at on a coarse grid, and of those that
-//! promise more (of all, where the first leaves more than the rules allow), the most promising first, at
-//! most two are planned as well, or one where the first leaves no more than the rules allow, until one does neither.
+//! particular, the best is looked at on a coarse grid first. Where it promises to leave nothing and to keep
+//! enough of what both parts have in common there, it is planned; else the others are looked at as well and the
+//! most promising is. Where that plan keeps little or leaves anything, of those that promise more than it came to
+//! (of all, where it leaves more than the rules allow), the most promising first, at
+//! most two are planned as well, or one where it leaves no more than the rules allow, until one does neither.
 //!
 //! Guarantees: the same choice at any thread count; of plans made on the job's grid the best is
 //! kept. Not guaranteed: that no other placement has a better plan. Millimetres.
@@ -166,62 +167,81 @@ impl Placing<'_> {
         if self.parts.initial.is_none() && !others.is_empty() {
             return self.best_way_up(places);
         }
-        let mut best = self.plan_at(first)?;
-        let told = |i: usize, s: &reman::Standing, how: &str| {
-            let what = match s.class {
-                0 => format!("a complete plan that gives up {:.1} mm³", s.given_up_mm3),
-                1 => format!("{:.1} mm³ given up, {:.1} mm³ left", s.given_up_mm3, s.left_mm3),
-                _ => format!(
-                    "{:.1} mm³ given up, {:.1} mm³ left, more than the rules allow",
-                    s.given_up_mm3, s.left_mm3
-                ),
-            };
-            let share = 100.0 * places[i].reused_share;
-            format!("Placement {} of {}, {share:.1} % inside{how}: {what}.", i + 1, places.len())
-        };
         if others.is_empty() {
-            return Ok(best);
+            return self.plan_at(first);
         }
-        let mut lines = vec![told(0, &best.standing(), " as planned")];
-        let all_asked_for = self.config.setup_candidates.is_some();
-        let is_enough = |best: &Made| !all_asked_for && best.is_enough();
-        if is_enough(&best) {
-            return Ok(best);
+        if self.config.setup_candidates.is_some() {
+            return self.best_of_all(places);
         }
-        let rest: Vec<usize> = if all_asked_for {
-            (1..places.len()).collect()
-        } else {
-            let mut glances = Vec::new();
-            for (i, place) in places.iter().enumerate() {
-                if self.ctx.out_of_time() {
-                    break;
-                }
-                let standing = self.look_at(place)?;
-                lines.push(told(i, &standing, " at a glance"));
-                glances.push((standing.loss_mm3(), i));
+        let mut glances = Vec::new();
+        if self.config.is_reman() {
+            let glance = self.look_at(first)?;
+            let promises_enough = glance.promises_enough();
+            glances.push(glance);
+            if !promises_enough {
+                self.look_at_more(&mut glances, places)?;
             }
-            promising(glances, best.standing().class)
-        };
-        for i in rest {
+        }
+        let mut planned = vec![most_promising(&glances)];
+        let mut best = self.plan_at(&places[planned[0]])?;
+        let mut lines = vec![told(places, planned[0], &best.standing(), " as planned")];
+        if !best.is_enough() {
+            self.look_at_more(&mut glances, places)?;
+        }
+        if glances.len() > 1 {
+            for (i, glance) in glances.iter().enumerate() {
+                lines.push(told(places, i, &glance.standing, " at a glance"));
+            }
+        }
+        while !best.is_enough()
+            && let Some(next) = next_to_plan(&glances, &planned, &best.standing())
+        {
             if self.ctx.out_of_time() {
                 lines.push("The time limit came before the other placements.".into());
                 break;
             }
-            let made = self.plan_at(&places[i])?;
-            lines.push(told(i, &made.standing(), " as planned"));
-            let is_better = match all_asked_for {
-                true => made.standing() < best.standing(),
-                false => made.is_worth_more_than(&best),
-            };
-            if is_better {
+            planned.push(next);
+            let made = self.plan_at(&places[next])?;
+            lines.push(told(places, next, &made.standing(), " as planned"));
+            if made.is_worth_more_than(&best) {
                 best = made;
             }
-            if is_enough(&best) {
+        }
+        if lines.len() > 1 {
+            best.notes.extend(lines);
+        }
+        Ok(best)
+    }
+
+    /// Plans all places in full, as long as there is time.
+    fn best_of_all(&mut self, places: &[Place]) -> Result<Made, Failure> {
+        let mut best: Option<Made> = None;
+        let mut lines = Vec::new();
+        for (i, place) in places.iter().enumerate() {
+            if best.is_some() && self.ctx.out_of_time() {
+                lines.push("The time limit came before the other placements.".into());
                 break;
             }
+            let made = self.plan_at(place)?;
+            lines.push(told(places, i, &made.standing(), " as planned"));
+            if best.as_ref().is_none_or(|b| made.standing() < b.standing()) {
+                best = Some(made);
+            }
         }
+        let mut best = best.ok_or_else(|| Failure::input("the setup search found no placement"))?;
         best.notes.extend(lines);
         Ok(best)
+    }
+
+    /// Looks at the places that were not looked at yet, as long as there is time.
+    fn look_at_more(&mut self, glances: &mut Vec<Glance>, places: &[Place]) -> Result<(), Failure> {
+        for place in &places[glances.len()..] {
+            if self.ctx.out_of_time() {
+                break;
+            }
+            glances.push(self.look_at(place)?);
+        }
+        Ok(())
     }
 
     /// Plans one way up after the other, as long as there is time, until one ends within δ of the target. A way
@@ -291,11 +311,15 @@ impl Placing<'_> {
     }
 
     /// How a plan may stand with the target at a place.
-    fn look_at(&mut self, place: &Place) -> Result<reman::Standing, Failure> {
+    fn look_at(&mut self, place: &Place) -> Result<Glance, Failure> {
         let Placing { parts, config, ctx, clock } = self;
         clock.time("setup", || {
-            let prepared = prepare(parts, &place.motion, config, ctx, &mut Clock::start())?;
-            reman::glance(&prepared.job, &config.reman, ctx).map_err(pipeline::failure)
+            let Prepared { job, .. } =
+                prepare(parts, &place.motion, config, ctx, &mut Clock::start())?;
+            let standing = reman::glance(&job, &config.reman, ctx).map_err(pipeline::failure)?;
+            let [target, common] = [&job.target, &job.ideal_reuse()]
+                .map(|s| s.count() as f64 * job.frame.voxel_volume());
+            Ok(Glance { standing, kept_share: (target - standing.given_up_mm3) / common })
         })
     }
 
@@ -311,8 +335,8 @@ impl Placing<'_> {
                 let motion = DAffine3::from_translation(by) * place.motion;
                 prepared = prepare(parts, &motion, config, ctx, clock)?;
                 notes.push(format!(
-                    "The target was moved on by ({:.2}, {:.2}, {:.2}) mm, so that the reused \
-                 volume hides nothing of what is printed.",
+                    "The target was moved on by ({:.2}, {:.2}, {:.2}) mm, so that next to nothing of what \
+                     is printed is hidden by the reused volume or hangs just over the base.",
                     by.x, by.y, by.z
                 ));
             }
@@ -329,15 +353,54 @@ fn ranks_higher(one: &reman::Standing, other: &reman::Standing, worth_mm3: f64) 
     if completes && is_dear { one.loss_mm3() < other.loss_mm3() } else { one < other }
 }
 
-/// Of the placements' losses at a glance those to plan after the first, whose plan is of a class, the least first:
-/// where that one fails its glance did not show why, otherwise they have to promise more than it by the same
-/// measure. Where it leaves little, one more is enough.
-fn promising(mut glances: Vec<(f64, usize)>, class: u8) -> Vec<usize> {
-    let first = glances.first().map_or(0.0, |g| g.0);
-    glances.retain(|g| g.1 > 0 && (class == 2 || g.0 < first));
-    glances.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let most = if class == 1 { 1 } else { MOST_MORE };
-    glances.into_iter().take(most).map(|(_, i)| i).collect()
+/// How a plan may stand with the target at a place.
+#[derive(Clone, Copy, Debug)]
+struct Glance {
+    standing: reman::Standing,
+    /// What it keeps of what both parts have in common.
+    kept_share: f64,
+}
+
+impl Glance {
+    /// Whether a plan that turns out so is not compared with those of other placements.
+    fn promises_enough(&self) -> bool {
+        self.standing.class == 0 && self.kept_share >= ENOUGH_SHARE
+    }
+}
+
+/// The placement that loses least at a glance, the first of equals; the first where none was looked at.
+fn most_promising(glances: &[Glance]) -> usize {
+    let losses = glances.iter().map(|g| g.standing.loss_mm3()).enumerate();
+    losses.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(i, _)| i)
+}
+
+/// Which placement to plan after those that were: the one that loses least at a glance, if that is less than the
+/// best plan loses; where that one fails, whatever it promises, since its glance did not show why. Where the best
+/// leaves little, one more is enough.
+fn next_to_plan(glances: &[Glance], planned: &[usize], best: &reman::Standing) -> Option<usize> {
+    let most = if best.class == 1 { 1 } else { MOST_MORE };
+    if planned.len() > most {
+        return None;
+    }
+    let losses = glances.iter().map(|g| g.standing.loss_mm3()).enumerate();
+    let promising = |&(i, loss): &(usize, f64)| {
+        !planned.contains(&i) && (best.class == 2 || loss < best.loss_mm3())
+    };
+    losses.filter(promising).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
+}
+
+/// One line on how a plan of a place stands.
+fn told(places: &[Place], i: usize, s: &reman::Standing, how: &str) -> String {
+    let what = match s.class {
+        0 => format!("a complete plan that gives up {:.1} mm³", s.given_up_mm3),
+        1 => format!("{:.1} mm³ given up, {:.1} mm³ left", s.given_up_mm3, s.left_mm3),
+        _ => format!(
+            "{:.1} mm³ given up, {:.1} mm³ left, more than the rules allow",
+            s.given_up_mm3, s.left_mm3
+        ),
+    };
+    let share = 100.0 * places[i].reused_share;
+    format!("Placement {} of {}, {share:.1} % inside{how}: {what}.", i + 1, places.len())
 }
 
 /// Which axis of its file a part has up: "-x".
@@ -447,24 +510,39 @@ mod tests {
     use super::*;
     use hmplan::base::DMat3;
 
+    fn standing(class: u8, given_up_mm3: f64, left_mm3: f64) -> reman::Standing {
+        reman::Standing { class, given_up_mm3, left_mm3 }
+    }
+
     #[test]
-    fn after_a_plan_that_fails_others_have_a_turn_whatever_they_promise() {
-        let glances = [5.0, 9.0, 4.0, 7.0, 3.0].into_iter().zip(0..).collect::<Vec<_>>();
-        assert_eq!(promising(glances.clone(), 0), [4, 2]);
-        assert_eq!(promising(glances.clone(), 1), [4]);
-        assert_eq!(promising(glances[..2].to_vec(), 0), [0; 0]);
-        assert_eq!(promising(glances[..2].to_vec(), 2), [1]);
-        assert_eq!(promising(glances, 2), [4, 2]);
-        assert_eq!(promising(Vec::new(), 2), [0; 0]);
+    fn what_promises_more_than_the_best_plan_keeps_has_a_turn() {
+        let glances: Vec<Glance> = [5.0, 9.0, 4.0, 7.0, 3.0]
+            .map(|loss| Glance { standing: standing(0, loss, 0.0), kept_share: 0.4 })
+            .to_vec();
+        assert_eq!(most_promising(&glances), 4);
+        assert_eq!(most_promising(&[]), 0);
+        let next = |planned: &[usize], best| next_to_plan(&glances, planned, &best);
+        let complete = standing(0, 4.5, 0.0);
+        assert_eq!(next(&[4], complete), Some(2));
+        assert_eq!(next(&[4, 2], complete), None);
+        assert_eq!(next(&[4], standing(1, 4.5, 1.0)), Some(2));
+        assert_eq!(next(&[4, 2], standing(1, 4.5, 1.0)), None);
+        // A plan that fails, whatever the others promise, but no more than three in all.
+        assert_eq!(next(&[4], standing(2, 0.0, 0.1)), Some(2));
+        assert_eq!(next(&[4, 2], standing(2, 0.0, 0.1)), Some(0));
+        assert_eq!(next(&[4, 2, 0], standing(2, 0.0, 0.1)), None);
+    }
+
+    #[test]
+    fn a_glance_that_keeps_enough_and_leaves_nothing_is_planned_at_once() {
+        let promises = |class: u8, kept_share: f64| {
+            Glance { standing: standing(class, 1.0, 0.0), kept_share }.promises_enough()
+        };
+        assert!(promises(0, 0.5) && !promises(0, 0.4) && !promises(1, 0.9));
     }
 
     #[test]
     fn leaving_nothing_is_worth_some_of_the_target_not_most_of_it() {
-        let standing = |class: u8, given_up_mm3: f64, left_mm3: f64| reman::Standing {
-            class,
-            given_up_mm3,
-            left_mm3,
-        };
         let (little, none) = (standing(1, 100.0, 7.0), |given_up| standing(0, given_up, 0.0));
         assert!(ranks_higher(&none(150.0), &little, 50.0));
         assert!(!ranks_higher(&none(171.0), &little, 50.0));

@@ -1,43 +1,71 @@
-//! Where the reused volume hides what is to be added, and the least shift of the target that shows
-//! it.
+//! Where the reused volume hides what is to be added, or that hangs just over the base, and the
+//! shift of the target that mends it.
 //!
 //! Method. Added material beyond skin that no nozzle gets at from any direction while all of the
 //! reused volume stands is *hidden*, by exact distances: under a tip that hovers a voxel over the
 //! base there is no room for anything. A little of it comes from where the target happens to lie on
-//! the grid, so the target is moved by whole voxels, the nearest first, until nothing is hidden.
-//! Where much is hidden, planes have to give up what hides it; then the target stays.
+//! the grid. *Low* is what of the target lies outside the initial part, farther than skin, in the lowest
+//! millimetres over nothing: it would have to be laid downward, by a nozzle that points up from
+//! below the base. A foot beside the initial part's is all low, and fits within it a little farther on.
+//! The target is moved by whole voxels. Of all shifts the low voxels are counted; where something is
+//! low, the least of them give the place to begin. From there it goes on by voxels as long as less
+//! is hidden and low together. Where much is hidden, planes have to give up what hides it; then the target stays.
 //!
-//! Guarantees: after the shift nothing is hidden and nearly as much is reused. Not guaranteed: that
-//! what is not hidden can be carried.
+//! Guarantees: after the shift next to nothing is hidden or low, at most a quarter of what was, and
+//! nearly as much is reused. Not guaranteed: that what is not hidden can be carried, or that no
+//! shorter shift does it.
 
 use super::Options;
 use super::round::deep;
 use super::setting::Setting;
 use crate::access::{CloseNozzle, Scene, nozzle_map, reachable};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
-use crate::machine::Tool;
+use crate::machine::{HoldingMode, Tool};
 use crate::plan::Job;
 use crate::region::Volumes;
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Shifts tried, voxels along an axis; upward half as many, since what the base holds has to stay
-/// within the surface tolerance of it.
-const FARTHEST: isize = 2;
+/// Farthest shift along the base, mm.
+const FARTHEST_MM: f64 = 5.0;
+
+/// Farthest shift upward, voxels: what the base holds has to stay within the surface tolerance of it.
+const HIGHEST: isize = 1;
+
+/// Height over the base up to which nothing can be laid downward, mm: no nozzle is that slim along
+/// its side, and within so little a deposit that leans has nothing to lean from.
+const LOW_MM: f64 = 2.0;
+
+/// Share of the target that may be low for a shift to be looked for.
+const MOST_LOW: f64 = 0.01;
+
+/// Low places of the target that are counted at each shift: of more, every so many.
+const LOW_SAMPLES: usize = 4000;
+
+/// Shifts with the least low that are looked at closely.
+const STARTS: usize = 8;
+
+/// What of a place may still be hidden or low after a shift.
+const LEFT_SHARE: f64 = 0.25;
 
 /// Share of the target that may be hidden for a shift to be looked for: more is no matter of a
 /// voxel or two.
 const MOST_HIDDEN: f64 = 1e-3;
 
-/// Share of the reused volume that a shift must keep.
+/// Share of the reused volume that a shift must keep: one of a voxel or two, and a longer one, which could move
+/// faces apart that lie flush.
 const LEAST_KEPT: f64 = 0.99;
+const LEAST_KEPT_FAR: f64 = 0.999;
+
+/// Longest of the shifts that count as near, voxels along an axis.
+const NEAR: isize = 2;
 
 /// Directions that are asked at a time: the first few show nearly everything.
 const AT_A_TIME: usize = 16;
 
-/// The shift of the target, in voxels, that hides nothing; none where nothing is hidden, where too
-/// much is, or where no shift helps.
+/// The shift of the target, in voxels, that shows what is hidden and puts into the initial part what
+/// is low; none where there is neither, where too much is hidden, or where no shift helps.
 ///
 /// # Errors
 /// When the user stops the run.
@@ -48,28 +76,132 @@ pub fn shift_off_hidden(
 ) -> Result<Option<[isize; 3]>, Cancelled> {
     let look = Look::new(job, options);
     let (hidden, most) = look.hidden(&job.target, ctx)?;
-    if !(1..=most_hidden(&job.target)).contains(&hidden.count()) {
+    if hidden.count() > most_hidden(&job.target) {
         return Ok(None);
     }
-    let reach = || -FARTHEST..=FARTHEST;
-    let mut shifts: Vec<[isize; 3]> = (0..=FARTHEST / 2)
-        .flat_map(|z| reach().flat_map(move |y| reach().map(move |x| [x, y, z])))
-        .filter(|s| *s != [0, 0, 0])
-        .collect();
-    shifts.sort_by_key(|s| s.iter().map(|c| c * c).sum::<isize>());
-    for shift in shifts {
+    let low = Low::of(job);
+    let here = hidden.count() + low.at([0; 3]);
+    if here == 0 {
+        return Ok(None);
+    }
+    // What is hidden and low with the target moved so, no more than `least` of it; none where too little is kept.
+    let cost = |shift: [isize; 3], least: usize| -> Result<Option<usize>, Cancelled> {
         let moved = moved(&job.target, shift);
-        if moved.count() < job.target.count() {
-            // Part of it has left the grid.
-            continue;
+        if low.at(shift) >= least || moved.count() < job.target.count() {
+            // Part of it may have left the grid.
+            return Ok(None);
         }
         let (still, kept) = look.hidden_of(&moved, &self::moved(&hidden, shift), ctx)?;
-        tracing::debug!(?shift, still = still.count(), kept, "shift of the target");
-        if still.is_empty() && kept as f64 >= LEAST_KEPT * most as f64 {
-            return Ok(Some(shift));
+        let cost = still.count() + low.at(shift);
+        tracing::debug!(?shift, hidden = still.count(), low = low.at(shift), kept, "shift");
+        let is_near = shift.iter().all(|c| c.abs() <= NEAR);
+        let least_kept = if is_near { LEAST_KEPT } else { LEAST_KEPT_FAR };
+        let is_better = cost < least && kept as f64 >= least_kept * most as f64;
+        Ok(is_better.then_some(cost))
+    };
+    let (mut at, mut least) = ([0; 3], here);
+    for shift in low.starts() {
+        if let Some(cost) = cost(shift, least)? {
+            (at, least) = (shift, cost);
         }
     }
-    Ok(None)
+    let mut tried = BTreeSet::from([[0; 3], at]);
+    while least > 0 {
+        let before = least;
+        let mut next = at;
+        for shift in low.around(at) {
+            if tried.insert(shift)
+                && let Some(cost) = cost(shift, least)?
+            {
+                (next, least) = (shift, cost);
+                if least == 0 {
+                    break;
+                }
+            }
+        }
+        at = next;
+        if least == before {
+            break;
+        }
+    }
+    Ok((least as f64 <= LEFT_SHARE * here as f64).then_some(at))
+}
+
+/// What of the target may come to hang low.
+struct Low {
+    /// The initial part, and beside it what is no farther than skin.
+    within: BitGrid,
+    /// Voxels of the target near the base, or every so many of them.
+    foot: Vec<[usize; 3]>,
+    /// How many each of them stands for.
+    each: usize,
+    /// Farthest shift along the base, voxels.
+    farthest: isize,
+}
+
+impl Low {
+    /// None are counted with a second holding, in which the part stands on its head, nor where so
+    /// much is low that planes have to see to it.
+    fn of(job: &Job) -> Low {
+        let layers = (LOW_MM / job.frame.pitch).ceil() as usize;
+        let lowest = job.target.iter_ones().map(|v| v[2]).min().unwrap_or(0);
+        let is_low = |v: &[usize; 3]| v[2] <= lowest + layers;
+        let mut foot: Vec<[usize; 3]> = match job.rules.holding {
+            HoldingMode::Base => job.target.iter_ones().filter(is_low).collect(),
+            HoldingMode::Refixture => Vec::new(),
+        };
+        let each = foot.len().div_ceil(LOW_SAMPLES).max(1);
+        foot = foot.into_iter().step_by(each).collect();
+        let farthest = (FARTHEST_MM / job.frame.pitch) as isize;
+        let mut low = Low { within: job.initial.grown(), foot, each, farthest };
+        if low.at([0; 3]) as f64 > MOST_LOW * job.target.count() as f64 {
+            low.foot.clear();
+        }
+        low
+    }
+
+    /// Low voxels of the target moved so.
+    fn at(&self, shift: [isize; 3]) -> usize {
+        let over_nothing = |v: &&[usize; 3]| {
+            let [x, y, z]: [i64; 3] = std::array::from_fn(|a| v[a] as i64 + shift[a] as i64);
+            (0..=z).rev().all(|below| !self.within.get_or_empty([x, y, below]))
+        };
+        self.each * self.foot.iter().filter(over_nothing).count()
+    }
+
+    /// Shifts with less low than there is, the least first.
+    fn starts(&self) -> Vec<[isize; 3]> {
+        let here = self.at([0; 3]);
+        if here == 0 {
+            return Vec::new();
+        }
+        let along = || -self.farthest..=self.farthest;
+        let all: Vec<[isize; 3]> = (0..=HIGHEST)
+            .flat_map(|z| along().flat_map(move |y| along().map(move |x| [x, y, z])))
+            .collect();
+        let mut counted: Vec<(usize, isize, [isize; 3])> =
+            all.into_par_iter().map(|s| (self.at(s), length(s), s)).collect();
+        counted.retain(|c| c.0 < here);
+        counted.sort_unstable();
+        counted.into_iter().take(STARTS).map(|(.., s)| s).collect()
+    }
+
+    /// The shifts a voxel along any axes from one, the shortest first.
+    fn around(&self, at: [isize; 3]) -> Vec<[isize; 3]> {
+        let by = || -1..=1;
+        let all = by().flat_map(|z| by().flat_map(move |y| by().map(move |x| [x, y, z])));
+        let mut shifts: Vec<[isize; 3]> = all
+            .map(|by| std::array::from_fn(|a| at[a] + by[a]))
+            .filter(|[x, y, z]| x.abs().max(y.abs()) <= self.farthest && (0..=HIGHEST).contains(z))
+            .collect();
+        shifts.sort_by_key(|s| length(*s));
+        shifts
+    }
+}
+
+/// Squared length of a shift, and with it the order in which shifts are tried.
+fn length(shift: [isize; 3]) -> isize {
+    shift.iter().map(|c| c * c).sum()
 }
 
 /// Hidden voxels for which a shift is looked for.
@@ -211,6 +343,39 @@ mod tests {
         assert_eq!(shift, Some([0, 0, 1]));
         let lifted = Job { target: moved(&job.target, [0, 0, 1]), ..job };
         assert_eq!(shift_off_hidden(&lifted, &options, &ctx).unwrap(), None);
+    }
+
+    /// A block, and in it a smaller one with a foot that comes out of it beside the base.
+    fn on_a_foot(reach: usize, holding: HoldingMode) -> Job {
+        let frame = Frame { pitch: 1.0, dims: [60, 50, 40], origin: DVec3::ZERO };
+        let boxed = |v: &[usize; 3], x: [usize; 2], y: [usize; 2], top: usize| {
+            (x[0]..x[1]).contains(&v[0]) && (y[0]..y[1]).contains(&v[1]) && v[2] < top
+        };
+        let initial = BitGrid::from_fn(frame.dims, |v| boxed(&v, [8, 40], [8, 40], 35));
+        let target = BitGrid::from_fn(frame.dims, |v| {
+            boxed(&v, [15, 38], [14, 34], 30) || boxed(&v, [38, 40 + reach], [20, 24], 2)
+        });
+        let mut job = job_of(frame, initial, target, |_| true);
+        job.rules.holding = holding;
+        job
+    }
+
+    #[test]
+    fn a_foot_beside_the_initial_part_is_moved_into_it() {
+        let (options, ctx) = (Options::default(), Ctx::quiet());
+        let job = on_a_foot(4, HoldingMode::Base);
+        // One of its four columns is skin, the others would hang.
+        assert_eq!(Low::of(&job).at([0; 3]), 3 * 4 * 2);
+        let shift = shift_off_hidden(&job, &options, &ctx).unwrap();
+        assert_eq!(shift, Some([-3, 0, 0]));
+        let within = Job { target: moved(&job.target, [-3, 0, 0]), ..job };
+        assert_eq!(shift_off_hidden(&within, &options, &ctx).unwrap(), None);
+    }
+
+    #[test]
+    fn feet_do_not_count_where_the_part_is_turned_over_or_much_is_low() {
+        assert_eq!(Low::of(&on_a_foot(4, HoldingMode::Refixture)).at([0; 3]), 0);
+        assert_eq!(Low::of(&on_a_foot(20, HoldingMode::Base)).at([0; 3]), 0);
     }
 
     #[test]
