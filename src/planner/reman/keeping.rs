@@ -6,6 +6,9 @@
 //! more than the rules allow. What is then missing is opened by pits (`pits`), which may give up as much as the plan
 //! that won if that one leaves nothing.
 //!
+//! Where the first planes give up much of a part that is not worn, this is looked at before any plan under planes: if
+//! it leaves nothing and gives up half of that at most, it is the plan. What was found is not looked for again.
+//!
 //! Guarantees: those of cuts and deposits; the plan that won stays where this one ranks no higher. Not guaranteed: that
 //! what can be kept is found, or found in few blocks and holdings.
 
@@ -29,26 +32,63 @@ const KEEPING_SHARE_OF_OTHERS: f64 = 0.1;
 /// printing before it went left something on each of four tried.
 const WORN_SHARE: f64 = 0.05;
 
+/// Share of what the first planes give up that a plan which gives nothing up at first may give up in pits to be
+/// the plan without another look: planes that are moved, and local ones, keep more than the first.
+const PLAIN_SHARE: f64 = 0.5;
+
+/// Whether the part is worn, and whether so many voxels of what is reused leave enough for another plan to be worth
+/// a look.
+fn is_worth_a_look(run: &Run, reused: usize) -> (bool, bool) {
+    let job = run.start.setting.job;
+    let target = job.target.count() as f64;
+    let given_up = job.ideal_reuse().count().saturating_sub(reused) as f64;
+    let is_worn = job.initial.minus(&job.target).count() as f64 <= WORN_SHARE * target;
+    let share = if is_worn { KEEPING_SHARE } else { KEEPING_SHARE_OF_OTHERS };
+    (is_worn, given_up > share * target && run.options.supports && !run.ctx.out_of_time())
+}
+
+/// A plan that keeps so much more than the first planes do, and leaves nothing, that no plan under planes is looked
+/// for; of parts that are not worn.
+pub fn kept_at_first(run: &mut Run, under_planes: usize) -> Result<Option<Attempt>, PlanError> {
+    let (is_worn, is_worth_it) = is_worth_a_look(run, under_planes);
+    if is_worn || !is_worth_it {
+        return Ok(None);
+    }
+    let job = run.start.setting.job;
+    let made = all_kept(run)?;
+    run.all_kept = Some(made.clone());
+    let Some(made) = made.filter(|m| m.is_valid(job)) else { return Ok(None) };
+    let notes = run.report.notes.clone();
+    let made = opened(run, made, Some(under_planes))?;
+    let gives_up = |reused: usize| job.ideal_reuse().count().saturating_sub(reused) as f64;
+    let keeps_enough =
+        gives_up(made.volumes.reused.count()) <= PLAIN_SHARE * gives_up(under_planes);
+    if made.left() == 0 && keeps_enough {
+        let made = with_fewest_cuts(run, made)?;
+        run.clock.lap("blocks");
+        return Ok(Some(made));
+    }
+    run.report.notes = notes;
+    Ok(None)
+}
+
 /// A plan that keeps more than one that gives up much, and ranks higher.
 pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, PlanError> {
     let job = run.start.setting.job;
-    let target = job.target.count() as f64;
-    let given_up = job.ideal_reuse().count().saturating_sub(best.volumes.reused.count()) as f64;
-    let is_worn = job.initial.minus(&job.target).count() as f64 <= WORN_SHARE * target;
-    let share = if is_worn { KEEPING_SHARE } else { KEEPING_SHARE_OF_OTHERS };
-    let is_worth_it = given_up > share * target && run.options.supports;
+    let (is_worn, is_worth_it) = is_worth_a_look(run, best.volumes.reused.count());
     let has_a_way = !is_worn || is_complete(best, job);
-    if !is_worth_it || !has_a_way || run.ctx.out_of_time() {
+    if !is_worth_it || !has_a_way {
         return Ok(None);
     }
-    let made = if is_worn { printed_first(run)? } else { all_kept(run)? };
+    let made = match run.all_kept.take() {
+        Some(made) => made,
+        None if is_worn => printed_first(run)?,
+        None => all_kept(run)?,
+    };
     let Some(made) = made.filter(|m| m.is_valid(job)) else { return Ok(None) };
     let notes = std::mem::take(&mut run.report.notes);
     let rival = is_complete(best, job).then(|| best.volumes.reused.count());
-    let made = with_pits(run, made, rival)?;
-    let (clips, volumes) = (made.clips.clone(), made.volumes.clone());
-    let made = closely_cut(run, &UnderPlanes { clips, volumes }, made)?;
-    made.tell("keeping more", 0);
+    let made = opened(run, made, rival)?;
     if made.rank(job) >= best.rank(job) {
         run.report.notes = notes;
         return Ok(None);
@@ -57,6 +97,15 @@ pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pl
     let made = with_fewest_cuts(run, made)?;
     run.clock.lap("blocks");
     Ok(Some(made))
+}
+
+/// An attempt that gives nothing up, and the pits that open what it misses, giving up no more than `rival` keeps.
+fn opened(run: &mut Run, made: Attempt, rival: Option<usize>) -> Result<Attempt, PlanError> {
+    let made = with_pits(run, made, rival)?;
+    let (clips, volumes) = (made.clips.clone(), made.volumes.clone());
+    let made = closely_cut(run, &UnderPlanes { clips, volumes }, made)?;
+    made.tell("keeping more", 0);
+    Ok(made)
 }
 
 /// What comes of cutting first, nothing given up; none where the coarse grid shows that it leaves more than the

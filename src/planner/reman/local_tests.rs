@@ -99,6 +99,7 @@ pub(super) fn with_run<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
         options: &options,
         on_supports: None,
         printed_first: None,
+        all_kept: None,
         resorted: Vec::new(),
         report: Report::default(),
         clock: Clock::default(),

@@ -99,7 +99,7 @@ mod supports_tests;
 
 use crate::base::{Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
-use crate::plan::{Job, Plan, Step, StepKind, end_state};
+use crate::plan::{Job, Plan, Plane, Step, StepKind, end_state};
 use crate::planner::PlanError;
 use crate::region::{PrintingBase, Volumes, printing_bases};
 pub use glance::glance;
@@ -114,7 +114,7 @@ use fewest::with_fewest_cuts;
 use finish::finished;
 use fitting::fitted;
 use global::{choose, global_route, most_promising};
-use keeping::keeping_more;
+use keeping::{keeping_more, kept_at_first};
 use last_resort::{UnderPlanes, last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
 use loose::first_cut;
@@ -253,6 +253,8 @@ struct Run<'a> {
     on_supports: Option<Attempt>,
     /// What came of printing first, where that was tried and is within the rules.
     printed_first: Option<Attempt>,
+    /// What came of cutting first with nothing given up, where that was looked at.
+    all_kept: Option<Option<Attempt>>,
     /// The planes of attempts that the last resort was taken to.
     resorted: Vec<Vec<Clip>>,
     report: Report,
@@ -382,18 +384,55 @@ fn one_round(
         options,
         on_supports: None,
         printed_first: None,
+        all_kept: None,
         resorted: Vec::new(),
         report,
         clock,
         ctx,
     };
+    // The strategies of Fig. 14 are there to compare what planes alone keep.
+    let is_compared = matches!(options.search, Search::TopDown | Search::BottomUp);
+    let keeps_more = options.finish_mm == 0.0 && !is_compared;
+    let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
+    let under_planes = volumes(job, &clips).reused.count();
+    let kept = if keeps_more { kept_at_first(&mut run, under_planes)? } else { None };
+    let (mut best, why, aside) = match kept {
+        Some(kept) => on_what_hangs(kept, job),
+        None => {
+            let under = under_planes_or_not(&mut run, planes, &first)?;
+            let more = if keeps_more { keeping_more(&mut run, &under.0)? } else { None };
+            more.map_or(under, |more| on_what_hangs(more, job))
+        }
+    };
+    best = fitted(&mut run, best)?;
+    best = roughed(&mut run, best)?;
+    run.report.note_supports(job, aside, why);
+    let Run { mut report, clock, .. } = run;
+    report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
+    report.seconds = clock.laps;
+    Ok((best, report))
+}
+
+/// A plan that gave nothing up at first, why it prints supports, and how many voxels of them.
+fn on_what_hangs(made: Attempt, job: &Job) -> (Attempt, &'static str, usize) {
+    let aside = made.printed_aside(job).count();
+    (made, "to carry what nothing else does", aside)
+}
+
+/// The best attempt under planes, or with all printed first, why it prints supports, and how many voxels of them.
+fn under_planes_or_not(
+    run: &mut Run,
+    planes: Vec<Plane>,
+    first: &Volumes,
+) -> Result<(Attempt, &'static str, usize), PlanError> {
+    let (job, options) = (run.start.setting.job, run.options);
     let attempts = match options.search {
-        Search::Mcts | Search::Random => searched(&mut run, &first)?,
-        Search::TopDown => vec![top_down(&mut run, planes)?],
-        Search::BottomUp => vec![bottom_up(&mut run)?],
+        Search::Mcts | Search::Random => searched(run, first)?,
+        Search::TopDown => vec![top_down(run, planes)?],
+        Search::BottomUp => vec![bottom_up(run)?],
     };
     // None printed outside the target but where the plan without supports was passed over.
-    let mut why = match attempts.iter().all(|a| a.printed_aside(job).is_empty()) {
+    let why = match attempts.iter().all(|a| a.printed_aside(job).is_empty()) {
         true => "since without them more is left",
         false => "since by a look on a coarser grid without them more is left",
     };
@@ -405,36 +444,19 @@ fn one_round(
             break;
         }
         let known = run.on_supports.take();
-        let made = last_resort(&mut run, attempt, known)?;
+        let made = last_resort(run, attempt, known)?;
         if best.as_ref().is_none_or(|b| made.rank(job) < b.rank(job)) {
             best = Some(made);
         }
     }
     let mut best = best.ok_or(PlanError::Cancelled)?;
-    let mut aside = best.printed_aside(job).count();
-    best = with_fewest_cuts(&run, best)?;
+    let aside = best.printed_aside(job).count();
+    best = with_fewest_cuts(run, best)?;
     if options.finish_mm > 0.0 {
-        best = finished(&mut run, best)?;
+        best = finished(run, best)?;
     }
-    best = with_pits(&mut run, best, None)?;
-    best = with_crumbs(&mut run, best)?;
-    // The strategies of Fig. 14 are there to compare what planes alone keep.
-    let is_compared = matches!(options.search, Search::TopDown | Search::BottomUp);
-    if options.finish_mm == 0.0
-        && !is_compared
-        && let Some(made) = keeping_more(&mut run, &best)?
-    {
-        aside = made.printed_aside(job).count();
-        why = "to carry what nothing else does";
-        best = made;
-    }
-    best = fitted(&mut run, best)?;
-    best = roughed(&mut run, best)?;
-    run.report.note_supports(job, aside, why);
-    let Run { mut report, clock, .. } = run;
-    report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();
-    report.seconds = clock.laps;
-    Ok((best, report))
+    best = with_pits(run, best, None)?;
+    Ok((with_crumbs(run, best)?, why, aside))
 }
 
 /// Attempts, the best first: with global planes, and with local ones where those gave up much or left
