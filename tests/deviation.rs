@@ -31,3 +31,11 @@ fn machined_surfaces_are_neither_gouged_nor_left_thick() {
     // Nothing more than roughing's 0.2 mm is left.
     assert!(left == 0.0 && most <= 0.2, "{found:?}");
 }
+
+/// In the corner of a gap hardly wider than its cutter, cells' own tips went 0.23 mm into its roof.
+#[test]
+fn a_narrow_gap_is_not_gouged_by_more_than_a_nick() {
+    let found = measured("staircase", "0.3");
+    let [gouged, _, deepest, left, ..] = found[..] else { panic!("{found:?}") };
+    assert!(gouged == 0.0 && deepest <= 0.1 && left == 0.0, "{found:?}");
+}

@@ -4,7 +4,7 @@
 //! middles. Around a voxel that the lattice left, places much closer together than cells are tried, the
 //! nearest first, each with the height over the meshes.
 //!
-//! Guarantees: a tip is no lower than the lowest free one over the meshes, its edge holds no middle of a voxel that
+//! Guarantees: a tip is no lower than the lowest free one over the meshes, or with a nick goes no deeper into them, its edge holds no middle of a voxel that
 //! stays, moved to its cell, and comes within the slack of the one to cut, aside and below. Not guaranteed: that a gap with no more room than the places are apart is found.
 
 use super::exact::{Exact, Lowest};
@@ -31,6 +31,8 @@ pub(super) struct Between<'a> {
     pub cell: f64,
     /// How far under the edge and beside it a voxel counts as cut, mm.
     pub slack: f64,
+    /// How deep the edge may go into the meshes, mm; less than its radius.
+    pub nick: f64,
 }
 
 impl Between<'_> {
@@ -66,11 +68,11 @@ impl Between<'_> {
                 let (at, most) =
                     (voxel.truncate() + *by, highest(self.tool, voxel, by.length(), slack));
                 let may = most > f64::NEG_INFINITY;
-                if !may || !self.exact.is_free(at, most, self.lowest, &mut on) {
+                if !may || !self.exact.is_free_nicked(at, most, self.nick, self.lowest, &mut on) {
                     return None;
                 }
                 // Deeper than it must where it may, for the rounding of what is made of it.
-                let lowest = self.exact.lowest(at, self.lowest);
+                let lowest = self.exact.lowest_nicked(at, self.nick, self.lowest);
                 let tip = at.extend(lowest.max(most - self.slack));
                 self.free.is_clear(self.tool, tip).then_some(tip)
             })

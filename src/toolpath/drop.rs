@@ -74,6 +74,21 @@ impl End {
         }
     }
 
+    /// The end without its outermost `by` mm, less than its radius: what it meets, this one meets no deeper
+    /// than that. Its tip is as much higher.
+    pub fn inset(&self, by: f64) -> End {
+        match *self {
+            End::Ball { radius } => End::Ball { radius: radius - by },
+            End::Flat { radius } => End::Flat { radius: radius - by },
+            End::Bull { radius, corner } => {
+                End::Bull { radius: radius - by, corner: (corner - by).max(0.0) }
+            }
+            End::Taper { radius, widest, slope } => {
+                End::Taper { radius: radius - by, widest: widest - by, slope }
+            }
+        }
+    }
+
     /// The radius within which points are met.
     pub fn radius(&self) -> f64 {
         match *self {
@@ -512,6 +527,26 @@ mod tests {
         End::Bull { radius: 2.0, corner: 2.0 },
         End::Taper { radius: 0.8, widest: 2.0, slope: 3.0 },
     ];
+
+    /// What the end without its outside does not meet, the end meets no deeper than that.
+    #[test]
+    fn an_inset_end_leaves_what_is_met_no_deeper() {
+        for end in ENDS {
+            for by in [0.0, 0.045, 0.2, 0.6] {
+                let inset = end.inset(by);
+                let mut deepest: f64 = 0.0;
+                for (i, j) in (0..=60).flat_map(|i| (0..=60).map(move |j| (i, j))) {
+                    let (rho, z) = (f64::from(i) * 0.04, f64::from(j) * 0.04);
+                    if rho > inset.radius() || z - by < inset.lower(rho) {
+                        deepest = deepest.max(-end.distance(rho, z));
+                    }
+                }
+                assert!(deepest <= by + 1e-9, "{end:?} less {by}: {deepest}");
+                // All of it is given, to what the points tell.
+                assert!(deepest >= 0.7 * by - 0.04, "{end:?} less {by}: {deepest}");
+            }
+        }
+    }
 
     /// The definition: the greatest height less the end over points of the triangle.
     fn by_points(end: End, at: DVec2, [a, b, c]: &[DVec3; 3], n: usize) -> f64 {

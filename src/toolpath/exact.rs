@@ -207,17 +207,35 @@ impl Exact {
     /// Lowest free tip anywhere within the lattice: over the meshes exact, over the voxels that of
     /// the highest cell around.
     pub fn lowest(&self, at: DVec2, of: &Lowest) -> f64 {
+        self.lowest_nicked(at, 0.0, of)
+    }
+
+    /// The same where the end may go so deep into the meshes, mm, to all sides.
+    pub fn lowest_nicked(&self, at: DVec2, nick: f64, of: &Lowest) -> f64 {
         let Some([guard, bound]) = self.around(at, of) else { return f64::INFINITY };
-        let resting = self.drop.height(self.end, at).unwrap_or(f64::NEG_INFINITY);
+        let height = self.drop.height(self.end.inset(nick), at);
+        let resting = height.map_or(f64::NEG_INFINITY, |z| z - nick);
         guard.max(resting.min(bound)).max(self.past(at, of.margin, f64::INFINITY))
     }
 
     /// Whether [`Exact::lowest`] is at most `z`, told sooner; `on` as for [`DropCutter::rests_over`].
     pub fn is_free(&self, at: DVec2, z: f64, of: &Lowest, on: &mut Option<u32>) -> bool {
+        self.is_free_nicked(at, z, 0.0, of, on)
+    }
+
+    /// Whether [`Exact::lowest_nicked`] is at most `z`, told sooner.
+    pub fn is_free_nicked(
+        &self,
+        at: DVec2,
+        z: f64,
+        nick: f64,
+        of: &Lowest,
+        on: &mut Option<u32>,
+    ) -> bool {
         let Some([guard, bound]) = self.around(at, of) else { return z == f64::INFINITY };
-        guard <= z
-            && (bound <= z || !self.drop.rests_over(self.end, at, z, on))
-            && self.past(at, of.margin, z) <= z
+        let rests =
+            |on: &mut Option<u32>| self.drop.rests_over(self.end.inset(nick), at, z + nick, on);
+        guard <= z && (bound <= z || !rests(on)) && self.past(at, of.margin, z) <= z
     }
 
     /// A height under which shank and holder let no tip within `reach` of a place, across.

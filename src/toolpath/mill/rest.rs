@@ -37,6 +37,9 @@ const LUMP_SHARE: f64 = 0.9;
 /// counts as a gouge, rounding of three decimals included.
 const NICK_MM: f64 = 0.045;
 
+/// Where that is not enough, ever deeper: in a gap as wide as its cutter a tenth is mostly too little for a cell's tip.
+const NICKS_MM: [f64; 4] = [NICK_MM, 0.08, 0.12, 0.2];
+
 /// Tips on a way are looked at so far apart, in pitches.
 const APART_PITCH: f64 = 0.5;
 
@@ -61,7 +64,7 @@ impl Stage<'_> {
         self.cut_over(&mut left, &exact)?;
         counts.push(left.voxels.len());
         if self.meshes.is_some() {
-            self.between_cells(&mut left)?;
+            self.between_cells(&mut left, 0.0)?;
             counts.push(left.voxels.len());
             self.for_a_gouge(&mut left, &exact)?;
             counts.push(left.voxels.len());
@@ -82,14 +85,15 @@ impl Stage<'_> {
         Ok(())
     }
 
-    /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any.
-    fn between_cells(&mut self, left: &mut Left) -> Result<(), Cancelled> {
+    /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any that go no
+    /// deeper than a nick into the meshes.
+    fn between_cells(&mut self, left: &mut Left, nick: f64) -> Result<(), Cancelled> {
         let Some(exact) = self.meshes.as_ref().filter(|_| !left.voxels.is_empty()) else {
             return Ok(());
         };
         let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
         let (free, tool) = (&self.free, work.tool);
-        let between = Between { exact, lowest, free, tool, cell, slack: left.slack };
+        let between = Between { exact, lowest, free, tool, cell, slack: left.slack, nick };
         let tips = between.tips(&left.voxels, work.ctx)?;
         let touch = Touch { work, exact, lowest, stock: self.process.stock };
         let ways = touch.joined(tips, &|tip| free.is_clear(tool, tip))?;
@@ -102,16 +106,25 @@ impl Stage<'_> {
     }
 
     /// Cuts what the `exact` heights, those over the meshes, leave no room for, as far as it must be: lumps deeper
-    /// than half the tolerance as far as a nick lets the tool in; at the price of a pitch's gouge a region of
-    /// which so much is left that the plan's volume is not cut, and what is deeper than the rules allow. Deep is meant
-    /// to all sides: along a wall a cell's width that is left is none.
+    /// than half the tolerance as far as a nick lets the tool in; by ever deeper nicks, and at last at the price of
+    /// a pitch's gouge, a region of which so much is left that the plan's volume is not cut, and what is deeper than
+    /// the rules allow. Deep is meant to all sides: along a wall a cell's width that is left is none.
     fn for_a_gouge(&mut self, left: &mut Left, exact: &[f32]) -> Result<(), Cancelled> {
         if left.voxels.is_empty() {
             return Ok(());
         }
         let plain = self.free.heights(self.work.tool, 0.0, 0.0, self.work.ctx)?.data;
-        if left.share_of(self.work.step.region.count()) < LEAST_SHARE {
-            return self.cut_over(left, &plain);
+        let all = self.work.step.region.count();
+        if left.share_of(all) < LEAST_SHARE {
+            for nick in self.nicks() {
+                self.between_cells(left, nick)?;
+                if left.share_of(all) >= LEAST_SHARE {
+                    break;
+                }
+            }
+            if left.share_of(all) < LEAST_SHARE {
+                return self.cut_over(left, &plain);
+            }
         }
         let tolerance = self.work.job.rules.tolerance_mm;
         let nick = |(z, e): (&f32, &f32)| z.max(e - NICK_MM as f32);
@@ -120,10 +133,22 @@ impl Stage<'_> {
         for (share, free) in [(0.5, &nicked), (LUMP_SHARE, &plain)] {
             let slack = (share * tolerance).max(left.slack);
             let voxels = self.not_cut(left.voxels.clone(), &self.moves, slack);
-            self.cut_over(&mut Left { voxels, known: self.moves.len(), slack }, free)?;
+            let mut lumps = Left { voxels, known: self.moves.len(), slack };
+            if share == LUMP_SHARE {
+                for nick in self.nicks() {
+                    self.between_cells(&mut lumps, nick)?;
+                }
+            }
+            self.cut_over(&mut lumps, free)?;
         }
         self.take_off(left);
         Ok(())
+    }
+
+    /// How deep a tip between the cells may go into the meshes, mm, the least first; no more than half its radius.
+    fn nicks(&self) -> impl Iterator<Item = f64> + use<> {
+        let most = self.work.tool.active_radius() / 2.0;
+        NICKS_MM.into_iter().filter(move |nick| *nick <= most)
     }
 
     /// Cuts each of the last voxels from a tip of its own.
