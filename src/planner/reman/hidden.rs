@@ -7,8 +7,8 @@
 //! the grid. *Low* is what of the target lies outside the initial part, farther than skin, in the lowest
 //! millimetres over nothing: it would have to be laid downward, by a nozzle that points up from
 //! below the base. A foot beside the initial part's is all low, and fits within it a little farther on.
-//! The target is moved by whole voxels. Of all shifts the low voxels are counted; where something is
-//! low, the least of them give the place to begin. From there it goes on by voxels as long as less
+//! The target is moved by whole voxels. Of all shifts, or every so many of them, the low voxels are counted; where
+//! something is low, the least of them give the place to begin. From there it goes on by voxels as long as less
 //! is hidden and low together. Where much is hidden, planes have to give up what hides it; then the target stays.
 //!
 //! Guarantees: after the shift next to nothing is hidden or low, at most a quarter of what was, and
@@ -42,6 +42,9 @@ const MOST_LOW: f64 = 0.01;
 
 /// Low places of the target that are counted at each shift: of more, every so many.
 const LOW_SAMPLES: usize = 4000;
+
+/// Shifts to either side whose low voxels are counted: on fine grids not every one.
+const MOST_STEPS: isize = 20;
 
 /// Shifts with the least low that are looked at closely.
 const STARTS: usize = 8;
@@ -175,7 +178,9 @@ impl Low {
         if here == 0 {
             return Vec::new();
         }
-        let along = || -self.farthest..=self.farthest;
+        let stride = self.farthest.div_euclid(MOST_STEPS + 1) + 1;
+        let most = self.farthest / stride;
+        let along = || (-most..=most).map(|i| i * stride);
         let all: Vec<[isize; 3]> = (0..=HIGHEST)
             .flat_map(|z| along().flat_map(move |y| along().map(move |x| [x, y, z])))
             .collect();
@@ -370,6 +375,20 @@ mod tests {
         assert_eq!(shift, Some([-3, 0, 0]));
         let within = Job { target: moved(&job.target, [-3, 0, 0]), ..job };
         assert_eq!(shift_off_hidden(&within, &options, &ctx).unwrap(), None);
+    }
+
+    /// On a fine grid far fewer shifts are counted than there are voxels to either side.
+    #[test]
+    fn of_fine_grids_not_every_shift_is_counted() {
+        let job = on_a_foot(4, HoldingMode::Base);
+        let mut low = Low::of(&job);
+        for (farthest, stride) in [(5, 1), (20, 1), (21, 2), (250, 12)] {
+            low.farthest = farthest;
+            let starts = low.starts();
+            assert!(starts.len() == STARTS || farthest == 250, "{starts:?}");
+            assert!(starts.iter().all(|s| s[0] % stride == 0 && s[1] % stride == 0), "{starts:?}");
+            assert!(starts.iter().all(|s| s[0].abs().max(s[1].abs()) <= farthest));
+        }
     }
 
     #[test]

@@ -40,14 +40,15 @@
 //!   mend that, all is printed on the part as it is, before any cut (`printed_first`).
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
 //! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`). Where planes
-//!   give up much, all is planned that way with nothing given up at first (`keeping`).
+//!   give up much, all is planned that way with nothing given up at first (`keeping`); where that turns out well,
+//!   no plan under planes is made.
 //! - What a cutter has no room for beside the surfaces is left to a slimmer one (`fitting`).
 //! - A long cut by a slender cutter is roughed with a stouter one first (`roughing`).
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
 //!   paper names a finishing cut as future work.
-//! - A placement found by search is moved on by a voxel or two where the reused volume would hide a
-//!   little of what is to be printed (`hidden`).
+//! - A placement found by search is moved on where the reused volume would hide a little of what is to
+//!   be printed, or a little of it would hang just over the base (`hidden`).
 //! - With a second holding, planes that leave the part on its base are looked at beside all others:
 //!   deposits from straight above may then begin on the bare base.
 //! - What of the initial part hangs on nothing on the grid goes with a first cut (`loose`).
