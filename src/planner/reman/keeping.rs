@@ -14,7 +14,7 @@
 
 use super::Run;
 use super::fewest::with_fewest_cuts;
-use super::last_resort::{UnderPlanes, closely_cut, cut_first};
+use super::last_resort::{FEW_BELOW, UnderPlanes, closely_cut, cut_first};
 use super::locals::is_complete;
 use super::pits::with_pits;
 use super::printed_first::{on_coarse_grid, printed_first};
@@ -57,7 +57,9 @@ pub fn kept_at_first(run: &mut Run, under_planes: usize) -> Result<Option<Attemp
     let job = run.start.setting.job;
     let made = all_kept(run)?;
     run.all_kept = Some(made.clone());
-    let Some(made) = made.filter(|m| m.is_valid(job)) else { return Ok(None) };
+    // Of what stands, pits take nothing.
+    let may_be_complete = |m: &Attempt| m.is_valid(job) && m.excess.count() <= FEW_BELOW;
+    let Some(made) = made.filter(may_be_complete) else { return Ok(None) };
     let notes = run.report.notes.clone();
     let made = opened(run, made, Some(under_planes))?;
     let gives_up = |reused: usize| job.ideal_reuse().count().saturating_sub(reused) as f64;
@@ -85,11 +87,15 @@ pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pl
         None if is_worn => printed_first(run)?,
         None => all_kept(run)?,
     };
-    let Some(made) = made.filter(|m| m.is_valid(job)) else { return Ok(None) };
+    let may_rank_higher =
+        |m: &Attempt| m.is_valid(job) && (best.left() > 0 || m.excess.count() <= FEW_BELOW);
+    let Some(made) = made.filter(may_rank_higher) else { return Ok(None) };
     let notes = std::mem::take(&mut run.report.notes);
     let rival = is_complete(best, job).then(|| best.volumes.reused.count());
     let made = opened(run, made, rival)?;
-    if made.rank(job) >= best.rank(job) {
+    // Here what stands in pockets that are open only below counts as well: giving more up may leave none.
+    let standing = |a: &Attempt| a.standing(job, a.volumes.reused.count());
+    if standing(&made) >= standing(best) {
         run.report.notes = notes;
         return Ok(None);
     }
@@ -160,6 +166,29 @@ mod tests {
         assert_eq!(made.left(), 0);
         assert_eq!(made.volumes.reused, job.ideal_reuse());
         assert_verifies(&job, made.steps);
+    }
+
+    /// A plan that keeps more took the place of a complete one though stock stood in a pocket that is open only below.
+    #[test]
+    fn a_complete_plan_does_not_give_way_to_one_that_leaves_a_pocket_below() {
+        let pocket = |v: [usize; 3]| (8..12).contains(&v[0]) && (8..12).contains(&v[1]) && v[2] < 4;
+        let job = block_job(
+            |v| block(v) && !bowl(v),
+            |v| block(v) && v[0] < 26 && !pocket(v),
+            |t| t.taken == Taken::Always,
+        );
+        let (found, left) = with_run(&job, |run| {
+            let clip = Clip::global(Plane { normal: Direction::Z, offset: 8.0 });
+            let mut best = run.start.attempt(vec![clip], run.options, run.ctx).unwrap();
+            assert!(!best.excess.is_empty() && best.excess.count() <= FEW_BELOW);
+            assert_eq!(best.excess, best.below);
+            let left = best.left();
+            // As if another cut had it.
+            best.excess.subtract(&best.below.clone());
+            best.below.subtract(&best.below.clone());
+            (keeping_more(run, &best).unwrap().is_some(), left)
+        });
+        assert!(!found && left > 0);
     }
 
     /// A plan that gives up little is not looked beside.

@@ -41,7 +41,7 @@ const MOST_RISES: usize = 2;
 
 /// Up to so many voxels that are open only below, by a coarse look, are cut for all the same: from a cow's belly
 /// ten cuts from the sides took all of 19.
-const FEW_BELOW: usize = 100;
+pub const FEW_BELOW: usize = 100;
 
 /// How far around what was missing is printed first, mm: enough for a block with a bead in it.
 const AHEAD_MM: f64 = 1.5;
