@@ -7,7 +7,8 @@
 //! that won if that one leaves nothing.
 //!
 //! Where the first planes give up much of a part that is not worn, this is looked at before any plan under planes: if
-//! it leaves nothing and gives up half of that at most, it is the plan. What was found is not looked for again.
+//! it leaves nothing and gives up half of that at most, it is the plan. What was found is not looked for again. With a time
+//! limit planes come first.
 //!
 //! Guarantees: those of cuts and deposits; the plan that won stays where this one ranks no higher. Not guaranteed: that
 //! what can be kept is found, or found in few blocks and holdings.
@@ -51,7 +52,8 @@ fn is_worth_a_look(run: &Run, reused: usize) -> (bool, bool) {
 /// for; of parts that are not worn.
 pub fn kept_at_first(run: &mut Run, under_planes: usize) -> Result<Option<Attempt>, PlanError> {
     let (is_worn, is_worth_it) = is_worth_a_look(run, under_planes);
-    if is_worn || !is_worth_it {
+    // With little time a plan under planes is there sooner, and nothing is lost where it ends.
+    if is_worn || !is_worth_it || run.ctx.is_limited() {
         return Ok(None);
     }
     let job = run.start.setting.job;
