@@ -96,8 +96,8 @@ pub struct PlanArgs {
     #[arg(long, value_enum, default_value_t = SetupScoreArg::Both, help_heading = "Search")]
     pub setup_score: SetupScoreArg,
     /// Best placements of the setup search that planner reman plans in full; the best plan is kept
-    /// [default: one, and where its plan keeps less than half of what both parts have in common or
-    /// leaves anything, up to two of the next four]
+    /// [default: one of five, and where its plan keeps less than half of what both parts have in
+    /// common or leaves anything, up to two more]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=11))]
     pub setup_candidates: Option<u32>,
     /// Leave the initial part as it lies in its file, or let the setup search lay it on another of
