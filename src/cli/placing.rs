@@ -319,7 +319,8 @@ impl Placing<'_> {
             let standing = reman::glance(&job, &config.reman, ctx).map_err(pipeline::failure)?;
             let [target, common] = [&job.target, &job.ideal_reuse()]
                 .map(|s| s.count() as f64 * job.frame.voxel_volume());
-            Ok(Glance { standing, kept_share: (target - standing.given_up_mm3) / common })
+            let kept_mm3 = target - standing.given_up_mm3;
+            Ok(Glance { standing, keeps_enough: kept_mm3 >= ENOUGH_SHARE * common })
         })
     }
 
@@ -357,14 +358,14 @@ fn ranks_higher(one: &reman::Standing, other: &reman::Standing, worth_mm3: f64) 
 #[derive(Clone, Copy, Debug)]
 struct Glance {
     standing: reman::Standing,
-    /// What it keeps of what both parts have in common.
-    kept_share: f64,
+    /// Whether it keeps [`ENOUGH_SHARE`]; of nothing in common nothing is enough.
+    keeps_enough: bool,
 }
 
 impl Glance {
     /// Whether a plan that turns out so is not compared with those of other placements.
     fn promises_enough(&self) -> bool {
-        self.standing.class == 0 && self.kept_share >= ENOUGH_SHARE
+        self.standing.class == 0 && self.keeps_enough
     }
 }
 
@@ -517,7 +518,7 @@ mod tests {
     #[test]
     fn what_promises_more_than_the_best_plan_keeps_has_a_turn() {
         let glances: Vec<Glance> = [5.0, 9.0, 4.0, 7.0, 3.0]
-            .map(|loss| Glance { standing: standing(0, loss, 0.0), kept_share: 0.4 })
+            .map(|loss| Glance { standing: standing(0, loss, 0.0), keeps_enough: false })
             .to_vec();
         assert_eq!(most_promising(&glances), 4);
         assert_eq!(most_promising(&[]), 0);
@@ -535,10 +536,10 @@ mod tests {
 
     #[test]
     fn a_glance_that_keeps_enough_and_leaves_nothing_is_planned_at_once() {
-        let promises = |class: u8, kept_share: f64| {
-            Glance { standing: standing(class, 1.0, 0.0), kept_share }.promises_enough()
+        let promises = |class: u8, keeps_enough: bool| {
+            Glance { standing: standing(class, 1.0, 0.0), keeps_enough }.promises_enough()
         };
-        assert!(promises(0, 0.5) && !promises(0, 0.4) && !promises(1, 0.9));
+        assert!(promises(0, true) && !promises(0, false) && !promises(1, true));
     }
 
     #[test]
