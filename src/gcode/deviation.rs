@@ -452,4 +452,44 @@ mod tests {
         assert!(d.gouge_mm <= GOUGE_MM, "{}", d.gouge_mm);
         assert!(d.left <= 0.002, "{} up to {}", d.left, d.excess_mm);
     }
+
+    /// From the end of one pass to the next, a way at one height led over a sharp edge between the lattice's cells and
+    /// took some of it.
+    #[test]
+    fn ways_from_pass_to_pass_clear_edges_between_cells() {
+        const SPIRES: [[f64; 3]; 4] =
+            [[7.1, 6.3, 0.43], [16.4, 5.9, 0.2], [8.2, 13.7, 0.61], [16.7, 13.2, 0.33]];
+        const SIDE: f64 = 2.2;
+        const FLOOR: f64 = 3.0;
+        const TOP: f64 = 7.3;
+        /// Around a spire's axis.
+        fn turned(p: DVec3, [x, y, by]: [f64; 3]) -> DVec3 {
+            let (sin, cos) = by.sin_cos();
+            let q = p - DVec3::new(x, y, 0.0);
+            DVec3::new(cos * q.x + sin * q.y, cos * q.y - sin * q.x, q.z)
+        }
+        fn is_in_a_spire(p: DVec3) -> bool {
+            let half = SIDE * (TOP - p.z) / (TOP - FLOOR);
+            SPIRES.iter().any(|s| turned(p, *s).truncate().abs().max_element() < half)
+        }
+        let block = |p: DVec3| p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 9.0;
+        let around: fn(DVec3) -> bool = |p| p.z > FLOOR && !is_in_a_spire(p);
+        let cuts = [(StepKind::Subtractive, DVec3::Z, around)];
+        let mut w = world("generic-5axis", 0.5, DVec3::new(24.0, 20.0, 11.0), block, &cuts);
+        let mut parts =
+            vec![TriMesh::cuboid(DVec3::new(2.0, 2.0, 0.0), DVec3::new(22.0, 18.0, FLOOR))];
+        for [x, y, by] in SPIRES {
+            let (sin, cos) = by.sin_cos();
+            let corner = |a: f64, b: f64| {
+                DVec3::new(x + SIDE * (cos * a - sin * b), y + SIDE * (sin * a + cos * b), FLOOR)
+            };
+            let base = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
+            let points = base.into_iter().chain([DVec3::new(x, y, TOP)]).collect();
+            let sides = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [0, 2, 1], [0, 3, 2]];
+            parts.push(TriMesh::new(points, sides.to_vec()).unwrap());
+        }
+        w.job.target_mesh = joined(&parts);
+        let d = measured(&w);
+        assert!(d.gouge_mm <= GOUGE_MM, "{}", d.gouge_mm);
+    }
 }

@@ -515,13 +515,16 @@ impl<'a> Stage<'a> {
     fn link(&mut self, to: Cell, stepover: f64, z: &dyn Fn(usize) -> f32) -> bool {
         /// Chains farther apart than this many stepovers are linked over the safe height.
         const FAR: f64 = 4.0;
+        /// Places of a way that are looked at, in each cell.
+        const LOOKS: f64 = 4.0;
         let Some((from, z0)) = self.at else { return false };
         let d = [to[0] as f64 - from[0] as f64, to[1] as f64 - from[1] as f64];
         let gap = d[0].hypot(d[1]);
         if gap > FAR * stepover.max(1.0) {
             return false;
         }
-        let n = (2.0 * gap).ceil().max(1.0);
+        let n = (LOOKS * gap).ceil().max(1.0);
+        let (start, end) = (self.lattice.uv(from) + self.aside, self.lattice.uv(to));
         let mut over = z0;
         for i in 0..=n as usize {
             let t = i as f64 / n;
@@ -530,6 +533,10 @@ impl<'a> Stage<'a> {
                 (from[1] as f64 + t * d[1]).round() as usize,
             ];
             over = over.max(f64::from(z(self.lattice.index(c))));
+            // The way crosses the lattice between its cells, where a ridge may be higher.
+            if let Some(meshes) = &self.meshes {
+                over = over.max(meshes.lowest(start.lerp(end, t), &self.fine));
+            }
         }
         // Infinite where no region is under the edge: the way is not known to be clear.
         if over > z0.max(f64::from(z(self.lattice.index(to)))) + self.process.step_down {
