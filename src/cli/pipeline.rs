@@ -5,7 +5,7 @@ use super::config::{LOOKED_AT, PlanConfig};
 use super::exit::Failure;
 use super::plan::{Clock, digest};
 use hmplan::base::{Ctx, DAffine3};
-use hmplan::gcode::{self, CheckReport, Deviation, PostError, Program};
+use hmplan::gcode::{self, CheckReport, Deviation, Gouge, PostError, Program};
 use hmplan::mesh::TriMesh;
 use hmplan::plan::{Job, Plan, PlanFile, Schedule};
 use hmplan::planner::setup::{PosedSetup, SetupOptions};
@@ -257,7 +257,7 @@ pub fn deviation(
 
 /// The map's figures in one sentence.
 pub fn deviation_note(d: &Deviation) -> String {
-    format!(
+    let figures = format!(
         "Deviation of the program from the target (deviation.ply): {:.1} % of the machined surface cut \
          deeper than {:.2} mm (most {:.2} mm), {:.1} % left higher than roughing leaves (most {:.2} mm), \
          {:.1} % more where no such cutter comes nearer; beads at most {:.2} mm outside.",
@@ -268,7 +268,10 @@ pub fn deviation_note(d: &Deviation) -> String {
         d.excess_mm,
         100.0 * d.unreached,
         d.outside_mm,
-    )
+    );
+    let Some(Gouge { at, line }) = d.deepest else { return figures };
+    let place = format!("({:.1}, {:.1}, {:.1})", at.x, at.y, at.z);
+    format!("{figures} The deepest cut, at {place} mm, is that of line {line}.")
 }
 
 /// One line when the program passes, else one a broken rule with its first finding.

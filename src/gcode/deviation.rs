@@ -26,7 +26,7 @@ use super::sweep::samples;
 use crate::base::{Ctx, DVec3, Direction, ImagePlane};
 use crate::machine::Tool;
 use crate::mesh::{NearestTriangle, TriMesh};
-use crate::plan::{Job, Plan, StepKind};
+use crate::plan::{Job, Plan, Step, StepKind};
 use crate::toolpath::{End, Replay, Swept, ToolpathError, facets};
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
@@ -61,6 +61,14 @@ pub struct Facet {
     pub reach_mm: f64,
     /// Whether a step cuts the space in front of it.
     pub machined: bool,
+    /// Steps before this one may have cut here: what stands was laid after them.
+    from: usize,
+}
+
+impl Facet {
+    fn middle(&self) -> DVec3 {
+        (self.corners[0] + self.corners[1] + self.corners[2]) / 3.0
+    }
 }
 
 /// What a program does to the target's surface.
@@ -69,6 +77,8 @@ pub struct Deviation {
     pub facets: Vec<Facet>,
     /// Deepest cut into the target, mm.
     pub gouge_mm: f64,
+    /// Where that is and the line of the program that makes it, where it is a gouge.
+    pub deepest: Option<Gouge>,
     /// Most material left on a machined surface beyond what no end of the cutter's form reaches, mm.
     pub excess_mm: f64,
     /// Shares of the machined surface's area that are cut deeper than 0.05 mm, that keep more
@@ -79,6 +89,13 @@ pub struct Deviation {
     pub unreached: f64,
     /// How far the outside of a bead that stays lies from the target, mm.
     pub outside_mm: f64,
+}
+
+/// A cut into the target: the middle of the facet, and the line of the program, counted from 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gouge {
+    pub at: DVec3,
+    pub line: usize,
 }
 
 /// Deeper cuts into the target are gouges, mm.
@@ -152,7 +169,48 @@ pub fn deviation(
     }
     let share = |part: f64| if machined > 0.0 { part / machined } else { 0.0 };
     (found.gouged, found.left, found.unreached) = (share(gouged), share(left), share(unreached));
+    if let Some(f) = found.facets.iter().min_by(|a, b| a.off_mm.total_cmp(&b.off_mm))
+        && f.off_mm < -GOUGE_MM
+    {
+        let steps = (0..plan.steps.len()).map(|i| (&plan.steps[i], of_step(i)));
+        found.deepest = deepest(f, job, steps.skip(f.from), ctx)?;
+    }
     Ok(found)
+}
+
+/// The move of some steps that cuts deepest at a facet.
+fn deepest<'p>(
+    facet: &Facet,
+    job: &Job,
+    steps: impl Iterator<Item = (&'p Step, &'p [Motion])>,
+    ctx: &Ctx,
+) -> Result<Option<Gouge>, ToolpathError> {
+    let at = facet.middle();
+    let mut best: (f64, Option<Gouge>) = (0.0, None);
+    for (step, motions) in steps.filter(|(s, _)| s.kind == StepKind::Subtractive) {
+        ctx.check()?;
+        let Some(tool) = job.tool(&step.tool) else { continue };
+        for m in motions {
+            let plane = step.direction.image_plane();
+            let alone = swept(std::slice::from_ref(m), plane, tool);
+            let off = alone.map_or(0.0, |s| s.distance(turned(plane, at), 0.0));
+            if off < best.0 {
+                best = (off, Some(Gouge { at, line: m.line }));
+            }
+        }
+    }
+    Ok(best.1)
+}
+
+fn turned(plane: ImagePlane, p: DVec3) -> DVec3 {
+    plane.across(p).extend(plane.height(p))
+}
+
+/// What the cutting moves among some sweep; none without any, or of a tool that is left out.
+fn swept(motions: &[Motion], plane: ImagePlane, tool: &Tool) -> Option<Swept> {
+    let cuts = motions.iter().filter(|m| m.gait == Gait::Feed);
+    let ends = |m: &Motion| [turned(plane, m.from.unwrap_or(m.to)), turned(plane, m.to)];
+    Swept::of(End::of(tool)?, tool.active_length(), cuts.map(ends).collect())
 }
 
 /// A facet's deviation; none for one without area, whose sides the voxels do not tell apart, or
@@ -186,7 +244,8 @@ fn facet(
     };
     // What is laid after a cut was not there to be cut into.
     let laid = (0..plan.steps.len()).rev().find(|i| in_step(inner, StepKind::Additive, *i));
-    let steps = laid.map_or(0, |l| l + 1)..plan.steps.len();
+    let from = laid.map_or(0, |l| l + 1);
+    let steps = from..plan.steps.len();
     let cuts = |i: &usize| in_step(outer, StepKind::Subtractive, *i);
     let machined = steps.clone().any(|i| cuts(&i));
     let mut off = FAR_MM;
@@ -201,7 +260,8 @@ fn facet(
         let ends = steps.filter(cuts).filter_map(|i| sweeps[i].as_ref());
         reach_mm = ends.map(|s| s.reach.least(p, normal)).fold(FAR_MM, f64::min);
     }
-    Some(Facet { corners, normal, area: doubled.length() / 2.0, off_mm, reach_mm, machined })
+    let area = doubled.length() / 2.0;
+    Some(Facet { corners, normal, area, off_mm, reach_mm, machined, from })
 }
 
 /// What one step's edge sweeps, and what its end could.
@@ -213,17 +273,13 @@ struct Sweep {
 
 impl Sweep {
     fn of(motions: &[Motion], plane: ImagePlane, tool: &Tool, target: &TriMesh) -> Option<Sweep> {
-        let end = End::of(tool)?;
-        let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
-        let cuts = motions.iter().filter(|m| m.gait == Gait::Feed);
-        let moves = cuts.map(|m| [turned(m.from.unwrap_or(m.to)), turned(m.to)]).collect();
-        let swept = Swept::of(end, tool.active_length(), moves)?;
-        Some(Sweep { plane, swept, reach: Reach::new(target, plane, end) })
+        let swept = swept(motions, plane, tool)?;
+        Some(Sweep { plane, swept, reach: Reach::new(target, plane, End::of(tool)?) })
     }
 
     /// The lesser of `best` and the distance from a point to what is swept, negative inside.
     fn distance(&self, p: DVec3, best: f64) -> f64 {
-        self.swept.distance(self.plane.across(p).extend(self.plane.height(p)), best)
+        self.swept.distance(turned(self.plane, p), best)
     }
 }
 
@@ -347,6 +403,11 @@ mod tests {
         let text: String = text.lines().map(low).collect();
         let d = deviation(&text, &w.job, &w.plan, &Ctx::quiet()).unwrap();
         assert!((d.gouge_mm - 0.3).abs() < 0.05 && d.gouged > 0.0, "{}", d.gouge_mm);
+        // Its line is one of those that cut.
+        let gouge = d.deepest.expect("a line");
+        let line = text.lines().nth(gouge.line - 1).expect("within the program");
+        assert!(!line.starts_with("G0") && line.contains(['X', 'Y', 'Z']), "{line}");
+        assert!((gouge.at.z - 8.2).abs() < 1e-9, "{gouge:?}");
         let mut ply = Vec::new();
         d.write_ply(&mut ply).unwrap();
         let header = ply.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
