@@ -68,8 +68,10 @@ const PRINTED_WEIGHT: f64 = 0.1;
 /// what is missing or a little more, which would not make it valid.
 const WITHIN: f64 = 2.5;
 
-/// Tries in vain, one after the other, before an end.
+/// Tries in vain, one after the other, before what pits may give up is raised, and as many again at each height:
+/// small pits that bring nothing say little of large ones.
 const PATIENCE: usize = 8;
+const PATIENCE_RAISED: usize = 4;
 
 /// Tries at most: each costs a cut and a block or two.
 const MOST_TRIES: usize = 60;
@@ -302,9 +304,10 @@ impl<'s, 'a> Digging<'s, 'a> {
             if self.costs[self.opening].is_empty() {
                 self.costs[self.opening] = self.costs_of(OPENINGS[self.opening], ctx)?;
             }
-            let Some((way, chosen)) = self.choose() else {
+            let is_patient = self.vain < PATIENCE;
+            let Some((way, chosen)) = self.choose().filter(|_| is_patient) else {
                 self.opening += 1;
-                if self.opening == OPENINGS.len() {
+                if self.opening == OPENINGS.len() || !is_patient {
                     // Large pits are for leaving nothing at all, or no more than the rules allow.
                     let job = self.start.setting.job;
                     let hopeless = self.costs[0].iter().any(|c| c.iter().all(|c| c.is_infinite()));
@@ -312,6 +315,7 @@ impl<'s, 'a> Digging<'s, 'a> {
                         return Ok(None);
                     }
                     (self.opening, self.price) = (0, self.price + 1);
+                    self.vain = self.vain.min(PATIENCE - PATIENCE_RAISED);
                 }
                 continue;
             };
@@ -319,7 +323,7 @@ impl<'s, 'a> Digging<'s, 'a> {
             self.tried.extend(places.collect::<Vec<_>>());
             let mut chosen = chosen;
             // Those that leave less are made once more without the others.
-            while !chosen.is_empty() && !self.is_enough(ctx) {
+            while !chosen.is_empty() && self.vain < PATIENCE && !self.is_enough(ctx) {
                 (self.tries, self.vain) = (self.tries + 1, self.vain + 1);
                 let (made, good) = self.with_pits_over(way, &chosen, ctx)?;
                 match made {
@@ -374,7 +378,7 @@ impl<'s, 'a> Digging<'s, 'a> {
     }
 
     fn is_enough(&self, ctx: &Ctx) -> bool {
-        self.tries >= MOST_TRIES || self.vain >= PATIENCE || ctx.out_of_time()
+        self.tries >= MOST_TRIES || ctx.out_of_time()
     }
 
     /// Pits over some patches: the plan with them, if it leaves less, and the patches near which it does.
@@ -727,6 +731,23 @@ mod tests {
         assert!((1..4000).contains(&lost), "{lost} of {}", without.volumes.reused.count());
         assert!(notes.iter().any(|n| n.contains("given up in pits")), "{notes:?}");
         assert_verifies(&job, made.steps);
+    }
+
+    /// Small pits in vain, one after the other, once ended the search before a large one was tried.
+    #[test]
+    fn after_small_pits_in_vain_larger_ones_are_tried() {
+        let mut job = job(hole);
+        job.rules.deviation = 0.02;
+        let (made, raised) = with_run(&job, |run| {
+            let terms = Terms { rival: Some(0), options: run.options };
+            let mut digging = Digging::new(run.start, plain(run), terms);
+            digging.vain = PATIENCE;
+            let before = digging.now.left();
+            let made = digging.next(run.ctx).unwrap();
+            (made.map(|(m, _)| (m.left(), before)), digging.price)
+        });
+        let (left, before) = made.expect("a pit at a higher price");
+        assert!(left < before && raised > 0, "{left} of {before}, {raised}");
     }
 
     /// A thin layer on what a pit gives up was within the tolerance of it: left standing, it counted as skin
