@@ -8,7 +8,7 @@
 //! is tried again, the same cuts first, with none that they would not reach and slim ones near the
 //! others; where crumbs are missing in creases that close before their turn, what lies around them
 //! is printed ahead of all else. If this way leaves something, the stock is cut before anything is printed, once
-//! without supports and once with them. After all steps of the best of these come cuts by all tools and by exact
+//! without supports and once with them; these come first where much is missing that hangs in the open. After all steps of the best of these come cuts by all tools and by exact
 //! distances, where it leaves something standing, and deposits of what those open; where nothing is printed they are
 //! all there is to do.
 //!
@@ -17,6 +17,7 @@
 
 use super::clip::Clip;
 use super::cutting::{Cuts, cut_blocks};
+use super::laying::{Layer, ways_along};
 use super::printing::{
     MOST_CRUMBS, OnSupports, Patience, Printing, Wanted, leaves_none, print_blocks, print_crumbs,
     print_on_supports,
@@ -24,7 +25,7 @@ use super::printing::{
 use super::reach::within_reach;
 use super::reasons::open_below;
 use super::round::{Attempt, Mending, along, deep, printed, volumes};
-use super::{Options, Run, Start, followed};
+use super::{MENDABLE_SHARE, Options, Run, Start, followed};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
@@ -42,6 +43,9 @@ const MOST_RISES: usize = 2;
 /// Up to so many voxels that are open only below, by a coarse look, are cut for all the same: from a cow's belly
 /// ten cuts from the sides took all of 19.
 pub const FEW_BELOW: usize = 100;
+
+/// Where a nozzle gets straight down at this share of what is missing, supports come before other ways to print it.
+const HANGS_SHARE: f64 = 0.9;
 
 /// How far around what was missing is printed first, mm: enough for a block with a bead in it.
 const AHEAD_MM: f64 = 1.5;
@@ -104,7 +108,12 @@ fn resorted(
     let setting = &run.start.setting.with_last_resort();
     let start = run.start.in_setting(setting);
     let finished = &finished_stock(&best);
-    for (waits, supports) in [(true, true), (false, false), (false, true)] {
+    // Slimmer nozzles rarely lay what hangs in the open.
+    let hangs =
+        run.options.supports && start.mostly_hangs(&finished.state, &best.deficit, run.ctx)?;
+    let last =
+        if hangs { [(false, true), (false, false)] } else { [(false, false), (false, true)] };
+    for (waits, supports) in [(true, true), last[0], last[1]] {
         if best.residual() == 0 || run.ctx.out_of_time() {
             break;
         }
@@ -315,6 +324,27 @@ fn finished_stock(plain: &Attempt) -> Stock {
 }
 
 impl Start<'_> {
+    /// Whether so much is missing that a plan is not mended any more, and a nozzle gets straight down at nearly all of it
+    /// as long as nothing is printed: what it lacks is something to lie on.
+    fn mostly_hangs(
+        &self,
+        state: &BitGrid,
+        missing: &BitGrid,
+        ctx: &Ctx,
+    ) -> Result<bool, PlanError> {
+        let (setting, job) = (self.setting, self.setting.job);
+        let count = missing.count() as f64;
+        let Some(nozzle) = setting.nozzles().last() else { return Ok(false) };
+        if count <= MENDABLE_SHARE * job.target.count() as f64 {
+            return Ok(false);
+        }
+        let fixed: Vec<_> = (0..setting.holdings.len()).map(|h| setting.fixed(h, state)).collect();
+        let down =
+            Layer { job, state, left: missing, core: missing, fixed: &fixed, closely: false };
+        let ways = ways_along(setting, &[Direction::Z], nozzle);
+        Ok(down.clear_along_any(&ways, ctx)?.count() as f64 >= HANGS_SHARE * count)
+    }
+
     /// What is removed above the planes is cut, the rest stands.
     fn stock_under_planes(
         &self,
@@ -418,5 +448,43 @@ impl Start<'_> {
             deficit: last.unreached.minus(&skin),
             below,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::local_tests::{job_of, with_run};
+    use super::*;
+    use crate::base::DVec3;
+    use crate::voxel::Frame;
+
+    /// A post on the base and what is added to it, as a job.
+    fn job(initial: impl Fn([usize; 3]) -> bool + Sync, more: fn([usize; 3]) -> bool) -> Job {
+        const DIMS: [usize; 3] = [46, 40, 30];
+        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+        let target = BitGrid::from_fn(DIMS, |v| initial(v) || more(v));
+        job_of(frame, BitGrid::from_fn(DIMS, &initial), target, |_| true)
+    }
+
+    fn hangs(job: &Job) -> bool {
+        let missing = job.target.minus(&job.initial);
+        with_run(job, |run| run.start.mostly_hangs(&job.initial, &missing, run.ctx).unwrap())
+    }
+
+    #[test]
+    fn what_hangs_in_the_open_asks_for_supports_first() {
+        let post = |[x, y, z]: [usize; 3]| x < 14 && (4..36).contains(&y) && z < 24;
+        let shelf = |[x, y, z]: [usize; 3]| {
+            (14..36).contains(&x) && (10..30).contains(&y) && (16..20).contains(&z)
+        };
+        assert!(hangs(&job(post, shelf)));
+        // Under a roof it is not the lack of supports alone.
+        let roof = |v: [usize; 3]| post(v) || v[2] >= 22 && v[2] < 24 && v[0] < 40;
+        assert!(!hangs(&job(roof, shelf)));
+        // And a little is mended otherwise.
+        let nub = |[x, y, z]: [usize; 3]| {
+            (14..18).contains(&x) && (18..22).contains(&y) && (16..18).contains(&z)
+        };
+        assert!(!hangs(&job(post, nub)));
     }
 }
