@@ -62,6 +62,14 @@ pub enum Command {
     Schema { of: SchemaOf },
 }
 
+/// What options of planner search and nullify are where they are not given.
+pub const LAMBDA: f64 = 0.1;
+pub const WEIGHT: f64 = 1.0;
+pub const DELTA: f64 = 0.01;
+pub const MAX_STEPS: u32 = 10;
+pub const ROTATIONS: &str = "7";
+pub const TOOL_LENGTH: u32 = 10;
+
 #[derive(Debug, Args)]
 pub struct PlanArgs {
     /// The initial part and the target part (OBJ, STL, PLY, OFF, 3MF or voxel text .txt); a single part is the
@@ -129,23 +137,23 @@ pub struct PlanArgs {
     #[arg(long, default_value_t = 0, value_name = "N", help_heading = "Search")]
     pub seed: u64,
     /// What planner search pays for removing a volume, adding it being 1 (λ = c_SM/c_AM)
-    #[arg(long, default_value_t = 0.1, value_name = "F", value_parser = not_negative, help_heading = "Search")]
+    #[arg(long, default_value_t = LAMBDA, value_name = "F", value_parser = not_negative, help_heading = "Search")]
     pub lambda: f64,
     /// Cost of one tool of planner search in the same measure; may be repeated
     #[arg(long, value_name = "TOOL=F", value_parser = tool_cost, help_heading = "Search")]
     pub tool_cost: Vec<(String, f64)>,
     /// How much more planner search weighs what is left than what was paid (w); 0 finds the cheapest
-    #[arg(long, default_value_t = 1.0, value_name = "F", value_parser = not_negative, help_heading = "Search")]
+    #[arg(long, default_value_t = WEIGHT, value_name = "F", value_parser = not_negative, help_heading = "Search")]
     pub weight: f64,
     /// Fraction of the target by which a plan of planner search may be off (δ)
-    #[arg(long, default_value_t = 0.01, value_name = "F", value_parser = share, help_heading = "Search")]
+    #[arg(long, default_value_t = DELTA, value_name = "F", value_parser = share, help_heading = "Search")]
     pub delta: f64,
     /// Most steps of a plan of planner search
-    #[arg(long, default_value_t = 10, value_name = "N",
+    #[arg(long, default_value_t = MAX_STEPS, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Search")]
     pub max_steps: u32,
     /// Relative rotations from step to step of planner search: by a quarter turn at most, or all
-    #[arg(long, default_value = "7", value_name = "7|24", value_parser = ["7", "24"], help_heading = "Search")]
+    #[arg(long, default_value = ROTATIONS, value_name = "7|24", value_parser = ["7", "24"], help_heading = "Search")]
     pub rotations: String,
     /// Overhang that carries itself in planner search, degrees; below 45 only columns do
     #[arg(long, default_value_t = hmplan::base::tolerance::OVERHANG_DEG, value_name = "DEG",
@@ -161,7 +169,7 @@ pub struct PlanArgs {
     #[arg(long, value_enum, default_value_t = ObjectiveArg::Supports, help_heading = "Search")]
     pub objective: ObjectiveArg,
     /// Cutter length of planner nullify in voxels, at least 2
-    #[arg(long, default_value_t = 10, value_name = "L", help_heading = "Search")]
+    #[arg(long, default_value_t = TOOL_LENGTH, value_name = "L", help_heading = "Search")]
     pub tool_length: u32,
     /// Write planner nullify's schedule too: AM and SM time of each voxel of its box
     #[arg(long, value_name = "FILE")]
@@ -412,6 +420,18 @@ pub enum Planner {
     Nullify,
     /// Alternating blocks with few changes of process
     Blocks,
+}
+
+impl Planner {
+    /// As it is asked for.
+    pub fn name(self) -> &'static str {
+        match self {
+            Planner::Reman => "reman",
+            Planner::Search => "search",
+            Planner::Nullify => "nullify",
+            Planner::Blocks => "blocks",
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

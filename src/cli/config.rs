@@ -131,7 +131,7 @@ pub fn resolve(args: &PlanArgs) -> Result<PlanConfig, Failure> {
         }
         (Some(planner), _) => return Err(no_such_planner(planner)),
     };
-    reman_alone(args, nullified)?;
+    of_this_planner(args, nullified)?;
     let mut machine = profiles::find_machine(&args.machine.machine)?;
     if let Some(args::PlaceArg::At(place)) = args.place {
         machine.workholding.place = place;
@@ -258,18 +258,32 @@ fn search(args: &PlanArgs) -> Result<Option<hybrid::Options>, Failure> {
 }
 
 /// # Errors
-/// Options of planner reman asked of another one.
-fn reman_alone(args: &PlanArgs, nullified: bool) -> Result<(), Failure> {
+/// Options of one planner asked of another one, which would pass them over.
+fn of_this_planner(args: &PlanArgs, nullified: bool) -> Result<(), Failure> {
+    let this = if nullified { Planner::Nullify } else { args.planner.unwrap_or(Planner::Reman) };
+    let overhang = hmplan::base::tolerance::OVERHANG_DEG;
     let asked = [
-        ("--rounds", args.rounds > 1),
-        ("--base-tolerance", args.base_tolerance > 0.0),
-        ("--finish", args.finish.is_some()),
-        ("--supports", args.supports != args::SupportsArg::Auto),
+        ("--rounds", Planner::Reman, args.rounds > 1),
+        ("--base-tolerance", Planner::Reman, args.base_tolerance > 0.0),
+        ("--finish", Planner::Reman, args.finish.is_some()),
+        ("--supports", Planner::Reman, args.supports != args::SupportsArg::Auto),
+        ("--search", Planner::Reman, args.search != args::SearchArg::Mcts),
+        ("--set-cover", Planner::Reman, args.set_cover != args::SetCoverArg::Ilp),
+        ("--lambda", Planner::Search, args.lambda != args::LAMBDA),
+        ("--tool-cost", Planner::Search, !args.tool_cost.is_empty()),
+        ("--weight", Planner::Search, args.weight != args::WEIGHT),
+        ("--delta", Planner::Search, args.delta != args::DELTA),
+        ("--max-steps", Planner::Search, args.max_steps != args::MAX_STEPS),
+        ("--rotations", Planner::Search, args.rotations != args::ROTATIONS),
+        ("--overhang", Planner::Search, args.overhang != overhang),
+        ("--tight-bound", Planner::Search, args.tight_bound),
+        ("--objective", Planner::Nullify, args.objective != args::ObjectiveArg::Supports),
+        ("--tool-length", Planner::Nullify, args.tool_length != args::TOOL_LENGTH),
     ];
-    let other = nullified || args.planner == Some(Planner::Search);
-    match asked.iter().find(|(_, is_asked)| other && *is_asked) {
-        Some((option, _)) => Err(Failure::Input(format!(
-            "{option} goes with planner reman; leave it out for the others"
+    match asked.iter().find(|(_, planner, is_asked)| *planner != this && *is_asked) {
+        Some((option, planner, _)) => Err(Failure::Input(format!(
+            "{option} goes with planner {}; leave it out for the others",
+            planner.name()
         ))),
         None => Ok(()),
     }
@@ -331,14 +345,9 @@ fn voxel_tools_only(args: &PlanArgs) -> Result<(), Failure> {
 }
 
 fn no_such_planner(planner: Planner) -> Failure {
-    let name = match planner {
-        Planner::Reman => "reman",
-        Planner::Search => "search",
-        Planner::Nullify => "nullify",
-        Planner::Blocks => "blocks",
-    };
     Failure::Input(format!(
-        "planner {name} is not in version {}; use --planner reman, search or nullify",
+        "planner {} is not in version {}; use --planner reman, search or nullify",
+        planner.name(),
         env!("CARGO_PKG_VERSION")
     ))
 }
