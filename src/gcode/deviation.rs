@@ -13,7 +13,8 @@
 //!
 //! What lies behind a facet when the plan ends is what the program answers for: facets behind which the
 //! plan itself leaves nothing (skin) are not looked at, and of a face that is laid only what is
-//! cut after it was. Beads that a later cutter sweeps are gone.
+//! cut after it was. Beads that a later cutter sweeps are gone. Of the deepest gouge the move is named that makes it: of
+//! each move alone the distance is asked for.
 //!
 //! Guarantees: gouges and excess to a micrometre at the middle of each facet. Not guaranteed: between
 //! the middles; moves of tools whose edge is no ball, flat or bull-nose end and no cone on the equator of its
@@ -65,10 +66,8 @@ pub struct Facet {
     from: usize,
 }
 
-impl Facet {
-    fn middle(&self) -> DVec3 {
-        (self.corners[0] + self.corners[1] + self.corners[2]) / 3.0
-    }
+fn middle(corners: [DVec3; 3]) -> DVec3 {
+    (corners[0] + corners[1] + corners[2]) / 3.0
 }
 
 /// What a program does to the target's surface.
@@ -185,7 +184,7 @@ fn deepest<'p>(
     steps: impl Iterator<Item = (&'p Step, &'p [Motion])>,
     ctx: &Ctx,
 ) -> Result<Option<Gouge>, ToolpathError> {
-    let at = facet.middle();
+    let at = middle(facet.corners);
     let mut best: (f64, Option<Gouge>) = (0.0, None);
     for (step, motions) in steps.filter(|(s, _)| s.kind == StepKind::Subtractive) {
         ctx.check()?;
@@ -224,7 +223,7 @@ fn facet(
 ) -> Option<Facet> {
     let doubled = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
     let normal = doubled.try_normalize()?;
-    let p = (corners[0] + corners[1] + corners[2]) / 3.0;
+    let p = middle(corners);
     let aside = ASIDE_PITCH * job.frame.pitch;
     let voxel = |q: DVec3| job.frame.voxel_at(q);
     let solid = |q: DVec3| voxel(q).is_some_and(|v| job.target.get(v));

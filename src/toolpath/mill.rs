@@ -515,7 +515,7 @@ impl<'a> Stage<'a> {
     fn link(&mut self, to: Cell, stepover: f64, z: &dyn Fn(usize) -> f32) -> bool {
         /// Chains farther apart than this many stepovers are linked over the safe height.
         const FAR: f64 = 4.0;
-        /// Places of a way that are looked at, in each cell.
+        /// Places of a way that are looked at, in each cell: of spires 62° steep 0.012 mm goes unseen on cells of 0.5 mm.
         const LOOKS: f64 = 4.0;
         let Some((from, z0)) = self.at else { return false };
         let d = [to[0] as f64 - from[0] as f64, to[1] as f64 - from[1] as f64];

@@ -44,7 +44,8 @@ const MOST_RISES: usize = 2;
 /// ten cuts from the sides took all of 19.
 pub const FEW_BELOW: usize = 100;
 
-/// Where a nozzle gets straight down at this share of what is missing, supports come before other ways to print it.
+/// Where a nozzle gets straight down at this share of what is missing, supports come before other ways to print it;
+/// at a bracket's shelf it gets at all of it, below a roof at none.
 const HANGS_SHARE: f64 = 0.9;
 
 /// How far around what was missing is printed first, mm: enough for a block with a bead in it.
