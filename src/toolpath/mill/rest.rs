@@ -12,11 +12,12 @@
 use super::super::between::{Between, cuts};
 use super::super::cells::Cells;
 use super::super::close_tip::Stays;
-use super::super::image::{Image, Profile};
+use super::super::image::{Image, Lattice, Profile};
 use super::super::moves::{Move, MoveKind};
 use super::super::touch::{Touch, bounds};
 use super::{FAR_CELLS, SAME_HEIGHT_MM, Stage, within};
-use crate::base::{Cancelled, DVec3};
+use crate::base::{Cancelled, Ctx, DVec3};
+use crate::machine::Tool;
 use rayon::prelude::*;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -167,45 +168,13 @@ impl Stage<'_> {
         Ok(())
     }
 
-    /// What of the region the moves so far did not cut: by the lowest tip over each cell first, which tells of
-    /// nearly all.
+    /// What of the region the moves so far did not cut.
     fn left(&self, slack: f64) -> Result<Left, Cancelled> {
-        let (l, tool) = (self.lattice, self.work.tool);
-        let mut lowest: Vec<Option<DVec3>> = vec![None; l.cells()];
-        let mut heights = Image::empty(l);
-        for tip in self.cut_tips(&self.moves, l.s / 2.0) {
-            if let Some(i) = l.cell(tip.truncate()).map(|c| l.index(c))
-                && -(tip.z as f32) > heights.data[i]
-            {
-                heights.data[i] = -(tip.z as f32);
-                lowest[i] = Some(tip);
-            }
-        }
-        // Tips may be farther from a voxel than the cells that they are noted in.
-        let side = slack - FRAC_1_SQRT_2 * l.s;
-        let edge = |rho: f64| tool.active_lower_surface(rho);
-        let edge = Profile::new(edge, tool.active_radius(), l.s, side, 0.0);
-        let reached = edge.dilate(&heights, l, f64::NEG_INFINITY, self.work.ctx)?;
-        let is_doubtful = |p: &DVec3| {
-            let cell = l.cell(p.truncate());
-            cell.is_some_and(|c| f64::from(-reached.data[l.index(c)]) > p.z + slack)
-        };
-        let region = &self.work.step.region;
-        let seen = region.iter_ones().map(|v| self.seen(self.work.frame.center(v)));
-        let doubtful: Vec<DVec3> = seen.filter(is_doubtful).collect();
-        let near = within((tool.active_radius() + slack).min(FAR_CELLS * l.s) + l.s, l.s);
-        let is_cut = |p: &DVec3| {
-            let Some(cell) = l.cell(p.truncate()) else { return false };
-            near.iter().any(|(di, dj)| {
-                let i = cell[0].checked_add_signed(*di as isize);
-                let j = cell[1].checked_add_signed(*dj as isize);
-                let (Some(i), Some(j)) = (i, j) else { return false };
-                let inside = i < l.n[0] && j < l.n[1];
-                let tip = if inside { lowest[l.index([i, j])] } else { None };
-                tip.is_some_and(|tip| cuts(tool, tip, *p, slack))
-            })
-        };
-        let voxels: Vec<DVec3> = doubtful.into_par_iter().filter(|p| !is_cut(p)).collect();
+        let (l, work) = (self.lattice, self.work);
+        let region = work.step.region.iter_ones().map(|v| self.seen(work.frame.center(v)));
+        let region: Vec<DVec3> = region.collect();
+        let tips = self.cut_tips(&self.moves, l.s / 2.0);
+        let voxels = hardly_cut(&region, tips, (l, work.tool, slack), work.ctx)?;
         let voxels = self.not_cut(voxels, &self.moves, slack);
         Ok(Left { voxels, known: self.moves.len(), slack })
     }
@@ -325,9 +294,106 @@ impl Stage<'_> {
     }
 }
 
+/// Those of some points that the lowest tip over each cell does not cut: nearly all that others cut is cut by
+/// these. All as (u, v, height); a point is cut that comes within `slack` of the edge.
+fn hardly_cut(
+    points: &[DVec3],
+    tips: impl Iterator<Item = DVec3>,
+    (l, tool, slack): (Lattice, &Tool, f64),
+    ctx: &Ctx,
+) -> Result<Vec<DVec3>, Cancelled> {
+    let mut lowest: Vec<Option<DVec3>> = vec![None; l.cells()];
+    let mut heights = Image::empty(l);
+    for tip in tips {
+        if let Some(i) = l.cell(tip.truncate()).map(|c| l.index(c))
+            && -(tip.z as f32) > heights.data[i]
+        {
+            heights.data[i] = -(tip.z as f32);
+            lowest[i] = Some(tip);
+        }
+    }
+    // Tips and points may be farther from each other than the middles of their cells.
+    let aside = |p: &DVec3| {
+        let cell = l.cell(p.truncate());
+        cell.map_or(0.0, |c| l.uv(c).distance(p.truncate()))
+    };
+    let farther = FRAC_1_SQRT_2 * l.s + points.iter().map(aside).fold(0.0, f64::max);
+    let edge = |rho: f64| tool.active_lower_surface(rho);
+    let edge = Profile::new(edge, tool.active_radius(), l.s, slack - farther, 0.0);
+    let reached = edge.dilate(&heights, l, f64::NEG_INFINITY, ctx)?;
+    let is_doubtful = |p: &DVec3| {
+        let cell = l.cell(p.truncate());
+        cell.is_none_or(|c| f64::from(-reached.data[l.index(c)]) > p.z + slack)
+    };
+    let doubtful: Vec<DVec3> = points.iter().copied().filter(is_doubtful).collect();
+    let near = within((tool.active_radius() + slack).min(FAR_CELLS * l.s) + l.s, l.s);
+    let is_cut = |p: &DVec3| {
+        let Some(cell) = l.cell(p.truncate()) else { return false };
+        near.iter().any(|(di, dj)| {
+            let i = cell[0].checked_add_signed(*di as isize);
+            let j = cell[1].checked_add_signed(*dj as isize);
+            let (Some(i), Some(j)) = (i, j) else { return false };
+            let inside = i < l.n[0] && j < l.n[1];
+            let tip = if inside { lowest[l.index([i, j])] } else { None };
+            tip.is_some_and(|tip| cuts(tool, tip, *p, slack))
+        })
+    };
+    Ok(doubtful.into_par_iter().filter(|p| !is_cut(p)).collect())
+}
+
 impl Left {
     /// The share of so many voxels that is cut.
     fn share_of(&self, all: usize) -> f64 {
         1.0 - self.voxels.len() as f64 / all.max(1) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::{DVec2, Direction, rng};
+    use crate::machine::{Machine, ToolKind};
+    use crate::voxel::Frame;
+    use rand::RngExt as _;
+
+    /// Along a tilted direction points lie beside the middles of their cells as tips do. Where only the tips' places were
+    /// reckoned with, points a third of a cell beyond the edge's reach went for cut, and their step failed
+    /// the program's check.
+    #[test]
+    fn no_point_goes_for_cut_that_no_tip_reaches() {
+        let machine = Machine::builtin("generic-5axis").unwrap();
+        let frame = Frame { pitch: 0.8, dims: [24, 24, 12], origin: DVec3::ZERO };
+        let mut rng = rng(1, 0);
+        let (mut told, mut missed) = (0, 0);
+        for (i, tool) in machine.tools_of(ToolKind::Subtractive).into_iter().enumerate().take(8) {
+            let d = [DVec3::Z, DVec3::new(0.52, 0.84, -0.13)][i % 2];
+            let plane = Direction::new(d.normalize()).unwrap().image_plane();
+            let s = if i % 2 == 0 { frame.pitch } else { frame.pitch / 2.0 };
+            let seen = |v: [usize; 3]| {
+                let p = frame.center(v);
+                plane.across(p).extend(plane.height(p))
+            };
+            let all = (0..24 * 24 * 12).map(|k| [k % 24, k / 24 % 24, k / 576]);
+            let points: Vec<DVec3> = all.map(seen).collect();
+            let (lo, hi) = bounds(points.iter().map(|p| p.truncate()));
+            let l = Lattice::over(&frame, plane, s, lo - DVec2::splat(1.0), hi);
+            let slack = frame.pitch / 2.0;
+            for _ in 0..20 {
+                let mut coordinate =
+                    |i: usize| rng.random_range(0.0..1.0) * 12.0 - [4.0, 4.0, 8.0][i];
+                let at = (lo + hi) / 2.0;
+                let tips: Vec<DVec3> = (0..3)
+                    .map(|_| DVec3::new(at.x + coordinate(0), at.y + coordinate(1), coordinate(2)))
+                    .collect();
+                let terms = (l, tool, slack);
+                let listed =
+                    hardly_cut(&points, tips.iter().copied(), terms, &Ctx::quiet()).unwrap();
+                let uncut = |p: &&DVec3| !tips.iter().any(|t| cuts(tool, *t, **p, slack));
+                missed += points.iter().filter(uncut).filter(|p| !listed.contains(p)).count();
+                told += points.len() - listed.len();
+            }
+        }
+        assert_eq!(missed, 0, "of {told}");
+        assert!(told > 1000, "{told}");
     }
 }
