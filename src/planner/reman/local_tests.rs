@@ -182,6 +182,36 @@ fn a_pocket_open_below_counts_beside_other_placements() {
     assert!(made.standing(&job, made.volumes.reused.count()).class > 0);
 }
 
+/// With what stands in pockets open only below it broke the rules that it kept without, and went for valid.
+#[test]
+fn a_pocket_open_below_counts_against_what_the_rules_allow() {
+    let mut job = job();
+    let few = |from: usize, n: usize| {
+        let mut some = BitGrid::new(job.frame.dims);
+        job.target.iter_ones().skip(from).take(n).for_each(|v| some.set(v, true));
+        some
+    };
+    let made = |below: usize, missing: usize| Attempt {
+        clips: Vec::new(),
+        volumes: volumes(&job, &[]),
+        steps: Vec::new(),
+        cuts: 0,
+        stock: job.initial.clone(),
+        excess: few(0, below),
+        deficit: few(below, missing),
+        below: few(0, below),
+    };
+    let attempts =
+        [(10, 10, true), (11, 10, false), (20, 1, false), (21, 20, true), (21, 21, false)];
+    let attempts = attempts.map(|(below, missing, valid)| (made(below, missing), valid));
+    job.rules.deviation = 20.5 / job.target.count() as f64;
+    for (made, valid) in attempts {
+        let (below, missing) = (made.below.count(), made.deficit.count());
+        // Where it is more than that by itself, only what planes and pits mend is told apart.
+        assert_eq!(made.is_valid(&job), valid, "{below} below, {missing} missing");
+    }
+}
+
 /// A blade gave up a slice of itself because of twenty voxels in a crease, which the needle nozzle fills.
 #[test]
 fn crumbs_are_no_reason_to_give_more_up() {

@@ -84,6 +84,7 @@ mod local;
 mod local_tests;
 mod locals;
 mod loose;
+mod patches;
 mod pits;
 mod printed_first;
 mod printing;

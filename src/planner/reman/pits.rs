@@ -8,6 +8,8 @@
 //! pit(P, d, α) = { q : (q − p)·d tan α > |(q − p) × d| − r for some p in P },  r: room for the tip
 //! ```
 //!
+//! To a patch P that only what else is missing would carry, be it within the skin, belongs that which carries it
+//! (see `patches`).
 //! Patches that ask for little along the same axis get their pits together, by one cut; then what is
 //! missing there is printed, along the same axis first, where the nozzle stands in the open. Pits that
 //! cost little come before large ones, narrow before wide. Where not all of them help, those that do are
@@ -31,6 +33,7 @@
 use super::cone::{Brick, Cone};
 use super::cutting::{Cuts, cut_along, cut_blocks};
 use super::laying::{Way, ways_along};
+use super::patches::{Patch, carried_later, patches};
 use super::printing::{
     OnSupports, Patience, Printing, Wanted, leaves_none, print_blocks, print_crumbs,
     print_on_supports,
@@ -46,9 +49,6 @@ use crate::region::Volumes;
 use crate::voxel::{BitGrid, Connectivity, components, flood};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-
-/// Edge of the cells into which what is missing is divided, mm: about what one nozzle fills.
-const PATCH_MM: f64 = 4.0;
 
 /// Tangents of the cones' half angles, 45° to 80°: the slimmest nozzle widens by 20°, but a deposit on a
 /// pit's wall wants room beside its tip as well.
@@ -85,13 +85,6 @@ const MORE_SHARE: f64 = 2e-3;
 
 /// Patches nearer each other than this are one that was tried before, mm.
 const SAME_PLACE_MM: f64 = 1.0;
-
-/// A little of what a plan misses.
-struct Patch {
-    voxels: Vec<[usize; 3]>,
-    middle: DVec3,
-    radius: f64,
-}
 
 /// A pit that was made, over what was missing.
 #[derive(Clone)]
@@ -185,26 +178,6 @@ fn along_each(pits: &[Pit]) -> Vec<Vec<Pit>> {
     each
 }
 
-/// Patches of what is missing: its pieces, cut along a lattice of cells.
-fn patches(job: &Job, missing: &BitGrid) -> Vec<Patch> {
-    let frame = &job.frame;
-    let pieces = components(missing, Connectivity::Corner26);
-    let cell = (PATCH_MM / frame.pitch).ceil().max(1.0) as usize;
-    let mut of: BTreeMap<(u32, [usize; 3]), Vec<[usize; 3]>> = BTreeMap::new();
-    for v in missing.iter_ones() {
-        if let Some(piece) = pieces.label_of(v) {
-            of.entry((piece, v.map(|c| c / cell))).or_default().push(v);
-        }
-    }
-    let patch = |voxels: Vec<[usize; 3]>| {
-        let at = |v: &[usize; 3]| frame.center(*v);
-        let middle = voxels.iter().map(at).sum::<DVec3>() / voxels.len() as f64;
-        let radius = voxels.iter().map(|v| at(v).distance(middle)).fold(0.0, f64::max);
-        Patch { voxels, middle, radius: radius + frame.pitch / 2.0 }
-    };
-    of.into_values().map(patch).collect()
-}
-
 /// What pits are made for, and how.
 #[derive(Clone, Copy)]
 struct Terms<'o> {
@@ -224,6 +197,8 @@ struct Digging<'s, 'a> {
     /// Of [`OPENINGS`] and [`PRICES`].
     opening: usize,
     price: usize,
+    /// By patch and way what has to be printed for it; empty before it is asked for.
+    bodies: Vec<Vec<Option<Patch>>>,
     /// By opening, patch and way; empty before they are asked for.
     costs: [Vec<Vec<f64>>; OPENINGS.len()],
     /// Opening, way and place of what was tried.
@@ -274,6 +249,7 @@ impl<'s, 'a> Digging<'s, 'a> {
             patches,
             opening: 0,
             price: 0,
+            bodies: Vec::new(),
             costs: Default::default(),
             tried,
             tries: 0,
@@ -292,15 +268,19 @@ impl<'s, 'a> Digging<'s, 'a> {
     fn go_on(&mut self, now: Attempt) {
         let job = self.start.setting.job;
         self.state = now.end(job);
-        self.patches = patches(job, &now.deficit);
+        self.patches = patches(&job.frame, &now.deficit);
         self.now = now;
         (self.opening, self.price) = (0, 0);
+        self.bodies.clear();
         self.costs = Default::default();
     }
 
     /// The plan with the next pits that leave less; none when all were tried.
     fn next(&mut self, ctx: &Ctx) -> Result<Option<(Attempt, Vec<Pit>)>, PlanError> {
         while self.price < PRICES.len() && !self.is_enough(ctx) {
+            if self.bodies.is_empty() {
+                self.bodies = self.all_bodies(ctx)?;
+            }
             if self.costs[self.opening].is_empty() {
                 self.costs[self.opening] = self.costs_of(OPENINGS[self.opening], ctx)?;
             }
@@ -309,9 +289,9 @@ impl<'s, 'a> Digging<'s, 'a> {
                 self.opening += 1;
                 if self.opening == OPENINGS.len() || !is_patient {
                     // Large pits are for leaving nothing at all, or no more than the rules allow.
-                    let job = self.start.setting.job;
-                    let hopeless = self.costs[0].iter().any(|c| c.iter().all(|c| c.is_infinite()));
-                    if hopeless && self.terms.rival.is_none() && self.now.is_valid(job) {
+                    let is_for_all = self.terms.rival.is_none();
+                    if is_for_all && self.now.is_valid(self.start.setting.job) && self.is_hopeless()
+                    {
                         return Ok(None);
                     }
                     (self.opening, self.price) = (0, self.price + 1);
@@ -329,7 +309,7 @@ impl<'s, 'a> Digging<'s, 'a> {
                 match made {
                     Some(made) if good.len() == chosen.len() => {
                         self.vain = 0;
-                        let pit = Pit { way, opening: self.opening, over: self.over(&chosen) };
+                        let pit = Pit { way, opening: self.opening, over: self.over(way, &chosen) };
                         return Ok(Some((made, vec![pit])));
                     }
                     _ => chosen = good,
@@ -372,9 +352,23 @@ impl<'s, 'a> Digging<'s, 'a> {
             && made.volumes.reused.count() >= self.least_kept
     }
 
-    /// The voxels of some patches.
-    fn over(&self, chosen: &[usize]) -> Vec<[usize; 3]> {
-        chosen.iter().flat_map(|p| self.patches[*p].voxels.iter().copied()).collect()
+    /// The voxels to print along a way for some patches.
+    fn over(&self, way: usize, chosen: &[usize]) -> Vec<[usize; 3]> {
+        let of = |p: &usize| self.bodies[*p][way].iter().flat_map(|b| b.voxels.iter().copied());
+        let mut over: Vec<[usize; 3]> = chosen.iter().flat_map(of).collect();
+        over.sort_unstable();
+        over.dedup();
+        over
+    }
+
+    /// Whether something hangs over nothing that stands, along every way. Together with what it hangs over it may be
+    /// opened all the same, but seldom all of it: on a thread that took four times as long for a tenth of what was left.
+    fn is_hopeless(&self) -> bool {
+        let is_alone = |(p, bodies): (&Patch, &Vec<Option<Patch>>)| {
+            let stands = |b: &Patch| b.voxels.len() == p.voxels.len();
+            bodies.iter().flatten().any(stands)
+        };
+        !self.patches.iter().zip(&self.bodies).all(is_alone)
     }
 
     fn is_enough(&self, ctx: &Ctx) -> bool {
@@ -388,7 +382,7 @@ impl<'s, 'a> Digging<'s, 'a> {
         chosen: &[usize],
         ctx: &Ctx,
     ) -> Result<(Option<Attempt>, Vec<usize>), PlanError> {
-        let over = self.over(chosen);
+        let over = self.over(way, chosen);
         let pit = self.pit(&over, self.ways[way].direction, OPENINGS[self.opening]);
         let Some(made) = self.made((&pit, &over), way, ctx)? else { return Ok((None, Vec::new())) };
         let mut around = pit.clone();
@@ -486,42 +480,45 @@ impl<'s, 'a> Digging<'s, 'a> {
         let old = coarse.most(&self.now.volumes.reused);
         let solid = coarse.most(&self.state);
         let bricks = Brick::all_of(&solid, &old, frame);
-        let of_patch = |solid: &mut BitGrid, p: &Patch| {
-            ctx.check()?;
-            let cost = |(i, (way, carriers)): (usize, (&Way, &CarrierTable))| {
-                let d = way.direction;
-                // Supports are for what nothing carries straight up.
-                if self.is_carried(p, d, carriers, solid) == (self.supported == Some(i)) {
-                    return f64::INFINITY;
-                }
-                let cone = Cone { from: p.middle, radius: p.radius, along: d, opening };
-                let [old, printed] = cone.holds(&bricks).map(|n| n as f64);
-                (old + PRINTED_WEIGHT * printed) * scale
-            };
-            Ok(self.ways.iter().zip(&self.carriers).enumerate().map(cost).collect())
+        let cost = |(way, body): (&Way, &Option<Patch>)| {
+            let Some(body) = body else { return f64::INFINITY };
+            let along = way.direction;
+            let cone = Cone { from: body.middle, radius: body.radius, along, opening };
+            let [old, printed] = cone.holds(&bricks).map(|n| n as f64);
+            (old + PRINTED_WEIGHT * printed) * scale
         };
-        self.patches.par_iter().map_init(|| self.state.clone(), of_patch).collect()
+        let of_patch = |bodies: &Vec<Option<Patch>>| {
+            ctx.check()?;
+            Ok(self.ways.iter().zip(bodies).map(cost).collect())
+        };
+        self.bodies.par_iter().map(of_patch).collect()
     }
 
-    /// Whether every voxel of a patch, from below, has a carrier in what stands.
-    fn is_carried(
-        &self,
-        p: &Patch,
-        d: Direction,
-        carriers: &CarrierTable,
-        stands: &mut BitGrid,
-    ) -> bool {
+    /// By patch and way what has to be printed for it.
+    fn all_bodies(&self, ctx: &Ctx) -> Result<Vec<Vec<Option<Patch>>>, PlanError> {
         let frame = &self.start.setting.job.frame;
-        let mut order: Vec<([usize; 3], f64)> =
-            p.voxels.iter().map(|v| (*v, d.dot(frame.center(*v)))).collect();
-        order.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let all = order.iter().all(|(v, _)| {
-            let carried = carriers.carries(stands, *v);
-            stands.set(*v, true);
-            carried
-        });
-        order.iter().for_each(|(v, _)| stands.set(*v, false));
-        all
+        // What is missing within the skin carries as well.
+        let missing = self.start.setting.job.target.minus(&self.state);
+        let ways: Vec<(&Way, &CarrierTable)> = self.ways.iter().zip(&self.carriers).collect();
+        let along = |(way, carriers): &(&Way, &CarrierTable)| {
+            carried_later(&self.state, &missing, frame, (way.direction, carriers))
+        };
+        let later: Vec<BitGrid> = ways.par_iter().map(along).collect();
+        let of_patch = |stands: &mut BitGrid, p: &Patch| {
+            ctx.check()?;
+            let along = |(i, carriers): (usize, &CarrierTable)| {
+                let body = p.body(carriers, stands, &later[i]);
+                // Supports are for what nothing carries straight up: there they reuse more than pits so deep.
+                let body = body.filter(|b| self.supported.is_none() || b.len() == p.voxels.len());
+                match self.supported == Some(i) {
+                    true if body.is_none() => Some(p.clone()),
+                    true => None,
+                    false => body.map(|voxels| Patch::of(voxels, frame)),
+                }
+            };
+            Ok(self.carriers.iter().enumerate().map(along).collect())
+        };
+        self.patches.par_iter().map_init(|| self.state.clone(), of_patch).collect()
     }
 
     /// What stands over some voxels within their cones.
@@ -748,6 +745,31 @@ mod tests {
         });
         let (left, before) = made.expect("a pit at a higher price");
         assert!(left < before && raised > 0, "{left} of {before}, {raised}");
+    }
+
+    /// What is missing next to what stands is skin and no deficit: what hangs over it alone went for what nothing carries,
+    /// and got no pit.
+    #[test]
+    fn what_is_missing_within_the_skin_carries_what_is_missing_beyond() {
+        let mut job = job(hole);
+        job.rules.tolerance_mm = 1.2;
+        let (bodies, deficit, missing) = with_run(&job, |run| {
+            let terms = Terms { rival: None, options: run.options };
+            let digging = Digging::new(run.start, plain(run), terms);
+            let up = digging.ways.iter().position(|w| w.direction == Direction::Z).unwrap();
+            let bodies = digging.all_bodies(run.ctx).unwrap();
+            let bodies: Vec<_> = bodies.into_iter().map(|b| b[up].clone()).collect();
+            let missing = job.target.minus(&digging.state);
+            (bodies, digging.now.deficit.clone(), missing)
+        });
+        assert!(bodies.len() > 1, "{}", bodies.len());
+        let mut of_skin = 0;
+        for body in bodies {
+            let body = body.expect("printed along with what is under it");
+            assert!(body.voxels.iter().all(|v| missing.get(*v)));
+            of_skin += body.voxels.iter().filter(|v| !deficit.get(**v)).count();
+        }
+        assert!(of_skin > 0);
     }
 
     /// A thin layer on what a pit gives up was within the tolerance of it: left standing, it counted as skin

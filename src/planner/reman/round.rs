@@ -81,9 +81,12 @@ impl Attempt {
 
     /// Complete before valid before neither; complete ones by what they give up, valid ones by what
     /// they give up and, [`RESIDUAL_WEIGHT`] times, by what they leave, the others by what they
-    /// leave.
+    /// leave. What is open only below counts against what the rules allow unless it is more than that by itself,
+    /// where no plan is valid.
     pub fn rank(&self, job: &Job) -> (u8, usize) {
-        ranked(job, self.volumes.reused.count(), self.residual())
+        let (allowed, below) = (allowed(job), self.below.count());
+        let allowed = allowed.checked_sub(below).unwrap_or(allowed);
+        ranked(job, self.volumes.reused.count(), self.residual(), allowed)
     }
 
     /// What it gives up and, [`RESIDUAL_WEIGHT`] times, what it leaves, in voxels.
@@ -96,7 +99,7 @@ impl Attempt {
     /// reused. Another placement may have no pockets that are open only below, so here all that is
     /// left counts.
     pub fn standing(&self, job: &Job, reused: usize) -> Standing {
-        let (class, _) = ranked(job, reused, self.left());
+        let (class, _) = ranked(job, reused, self.left(), allowed(job));
         let given_up = job.target.count().saturating_sub(reused);
         let [given_up_mm3, left_mm3] =
             [given_up, self.left()].map(|n| n as f64 * job.frame.voxel_volume());
@@ -134,14 +137,18 @@ impl Attempt {
     }
 }
 
-/// What [`Attempt::rank`] says of so many voxels reused and left.
-fn ranked(job: &Job, reused: usize, left: usize) -> (u8, usize) {
+/// How many voxels the rules allow to be left.
+fn allowed(job: &Job) -> usize {
+    (job.rules.deviation * job.target.count() as f64) as usize
+}
+
+/// What [`Attempt::rank`] says of so many voxels reused and left where so many may be left.
+fn ranked(job: &Job, reused: usize, left: usize, allowed: usize) -> (u8, usize) {
     let given_up = job.target.count().saturating_sub(reused);
-    let valid = left as f64 <= job.rules.deviation * job.target.count() as f64;
-    match (left, valid) {
-        (0, _) => (0, given_up),
-        (_, true) => (1, given_up + RESIDUAL_WEIGHT * left),
-        (n, false) => (2, n),
+    match left {
+        0 => (0, given_up),
+        n if n <= allowed => (1, given_up + RESIDUAL_WEIGHT * n),
+        n => (2, n),
     }
 }
 
