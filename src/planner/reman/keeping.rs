@@ -60,7 +60,7 @@ pub fn kept_at_first(run: &mut Run, under_planes: usize) -> Result<Option<Attemp
     let made = all_kept(run)?;
     run.all_kept = Some(made.clone());
     // Of what stands, pits take nothing.
-    let may_be_complete = |m: &Attempt| m.is_valid(job) && m.excess.count() <= FEW_BELOW;
+    let may_be_complete = |m: &Attempt| m.may_be_valid(job) && m.excess.count() <= FEW_BELOW;
     let Some(made) = made.filter(may_be_complete) else { return Ok(None) };
     let notes = run.report.notes.clone();
     let made = opened(run, made, Some(under_planes))?;
@@ -90,7 +90,7 @@ pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pl
         None => all_kept(run)?,
     };
     let may_rank_higher =
-        |m: &Attempt| m.is_valid(job) && (best.left() > 0 || m.excess.count() <= FEW_BELOW);
+        |m: &Attempt| m.may_be_valid(job) && (best.left() > 0 || m.excess.count() <= FEW_BELOW);
     let Some(made) = made.filter(may_rank_higher) else { return Ok(None) };
     let notes = std::mem::take(&mut run.report.notes);
     let rival = is_complete(best, job).then(|| best.volumes.reused.count());
@@ -123,7 +123,7 @@ fn all_kept(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
     let is_hopeful = on_coarse_grid(start, |start| {
         let look = cut_first(start, options, ctx)?;
         look.tell("cut first, on the coarse grid", 0);
-        Ok(look.is_valid(start.setting.job))
+        Ok(look.may_be_valid(start.setting.job))
     })?;
     run.clock.lap("blocks");
     if !is_hopeful {

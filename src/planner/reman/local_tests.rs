@@ -209,6 +209,7 @@ fn a_pocket_open_below_counts_against_what_the_rules_allow() {
         let (below, missing) = (made.below.count(), made.deficit.count());
         // Where it is more than that by itself, only what planes and pits mend is told apart.
         assert_eq!(made.is_valid(&job), valid, "{below} below, {missing} missing");
+        assert_eq!(made.may_be_valid(&job), missing <= 20);
     }
 }
 

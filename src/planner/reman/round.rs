@@ -128,6 +128,11 @@ impl Attempt {
         self.rank(job).0 < 2
     }
 
+    /// The same with what is open only below left out: exact distances may yet show a way to it.
+    pub fn may_be_valid(&self, job: &Job) -> bool {
+        self.residual() <= allowed(job)
+    }
+
     /// Voxels that a plan with less residual may give up more and still be worth a try; none where
     /// it may give up all.
     pub fn worth(&self, job: &Job) -> Option<usize> {
