@@ -28,6 +28,9 @@ const PARTS: [usize; 2] = [BLOCK / 2, BLOCK / 4];
 /// less, smaller ones take longer to make.
 const TILES: [usize; 3] = [8, 4, 2];
 
+/// Candidates up to which they are asked singly: to bound the G of all cells takes longer.
+const FEW: usize = 20_000;
+
 /// Margin in mm of the verdict on a cube: far above the rounding of f32 heights, far below a voxel.
 const MARGIN_MM: f32 = 1e-3;
 
@@ -48,7 +51,13 @@ pub fn reached_along(
 
 /// The voxels of `candidates` that a map reaches.
 pub fn reachable(map: &DepthMap, candidates: &BitGrid, frame: &Frame) -> BitGrid {
-    voxels(map, candidates, true, frame)
+    if candidates.count() > FEW {
+        return voxels(map, candidates, true, frame);
+    }
+    let mut out = BitGrid::new(frame.dims);
+    let reached = candidates.iter_ones().filter(|v| map.reaches(frame.center(*v)));
+    reached.for_each(|v| out.set(v, true));
+    out
 }
 
 /// The voxels of `set`, or those outside it, that a map reaches.
@@ -376,6 +385,10 @@ mod tests {
             let map = cutter_map(&scene, &air, &cutter, d);
             let one = singly(&map);
             assert_eq!(reachable(&map, &air, &frame), one, "{d:?}");
+            let few = air.minus(&solid.grown());
+            let few = BitGrid::from_fn(frame.dims, |v| few.get(v) && v[0] % 7 == 3);
+            assert!((1..=FEW).contains(&few.count()) && air.count() > FEW);
+            assert_eq!(reachable(&map, &few, &frame), one.and(&few), "{d:?}");
             assert_eq!(reached_along(&scene, &solid, &cutter, d), one, "{d:?}");
             let one = singly(&nozzle_map(&scene, &air, &nozzle, d, 0.0));
             assert_eq!(reached_along(&scene, &solid, &nozzle, d), one, "{d:?}");

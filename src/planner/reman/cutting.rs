@@ -259,12 +259,14 @@ impl<'s, 'a> Cutter<'s, 'a> {
             if !closely {
                 continue;
             }
-            let all: Vec<Reach> = axes.into_iter().chain(samples_here).collect();
             // What no coarse bound is near is looked for last of all, when nothing else stands.
             let few = if holding + 1 < setting.holdings.len() { 0 } else { FEW };
-            let fine = self.fine_bounds(&all, &fixed, &later, few, ctx)?;
-            self.take(&fine, holding, &fixed, None, &later, ctx)?;
-            past.push(all);
+            // What the axes take asks for no look along a hundred directions.
+            for some in [&axes, &samples_here] {
+                let fine = self.fine_bounds(some, &fixed, &later, few, ctx)?;
+                self.take(&fine, holding, &fixed, None, &later, ctx)?;
+            }
+            past.push(axes.into_iter().chain(samples_here).collect());
         }
         // What was left to a later holding in vain, once more in the earlier ones.
         let none = BitGrid::new(setting.job.frame.dims);

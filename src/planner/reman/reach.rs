@@ -30,8 +30,10 @@ pub struct Bound {
 impl Bound {
     pub fn of(grid: &BitGrid) -> Bound {
         let all = grid.words();
-        let words = all.iter().zip(0..).filter(|(word, _)| **word != 0);
-        Bound { words: words.map(|(word, i)| (i, *word)).collect() }
+        let any = |word: &&u64| **word != 0;
+        let mut words = Vec::with_capacity(all.iter().filter(any).count());
+        words.extend((0..).zip(all.iter().copied()).filter(|(_, word)| *word != 0));
+        Bound { words }
     }
 
     /// Voxels of it that a grid has too, whose words these are.
