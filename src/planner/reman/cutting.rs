@@ -81,7 +81,10 @@ pub fn cut_blocks(
     cutter.repeat(before, false, ctx)?;
     // Where others follow, the usual cutters need not be looked at closely before them.
     let alone = cutter.cutters.len() == setting.cutters().len();
-    cutter.cut(samples, alone, ctx)?;
+    // Nor again where an earlier plan looked along every direction with them.
+    if alone || before.is_empty() {
+        cutter.cut(samples, alone, ctx)?;
+    }
     if !alone && !cutter.cutting.unreached.is_empty() {
         cutter.cutters = setting.cutters();
         cutter.cut(samples, true, ctx)?;
