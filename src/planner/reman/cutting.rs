@@ -81,10 +81,7 @@ pub fn cut_blocks(
     cutter.repeat(before, false, ctx)?;
     // Where others follow, the usual cutters need not be looked at closely before them.
     let alone = cutter.cutters.len() == setting.cutters().len();
-    // Nor again where an earlier plan looked along every direction with them.
-    if alone || before.is_empty() {
-        cutter.cut(samples, alone, ctx)?;
-    }
+    cutter.cut(samples, alone, ctx)?;
     if !alone && !cutter.cutting.unreached.is_empty() {
         cutter.cutters = setting.cutters();
         cutter.cut(samples, true, ctx)?;
@@ -262,14 +259,12 @@ impl<'s, 'a> Cutter<'s, 'a> {
             if !closely {
                 continue;
             }
+            let all: Vec<Reach> = axes.into_iter().chain(samples_here).collect();
             // What no coarse bound is near is looked for last of all, when nothing else stands.
             let few = if holding + 1 < setting.holdings.len() { 0 } else { FEW };
-            // What the axes take asks for no look along a hundred directions.
-            for some in [&axes, &samples_here] {
-                let fine = self.fine_bounds(some, &fixed, &later, few, ctx)?;
-                self.take(&fine, holding, &fixed, None, &later, ctx)?;
-            }
-            past.push(axes.into_iter().chain(samples_here).collect());
+            let fine = self.fine_bounds(&all, &fixed, &later, few, ctx)?;
+            self.take(&fine, holding, &fixed, None, &later, ctx)?;
+            past.push(all);
         }
         // What was left to a later holding in vain, once more in the earlier ones.
         let none = BitGrid::new(setting.job.frame.dims);
