@@ -8,7 +8,7 @@
 //! chosen anew (`fewest`). Cuts that an earlier plan for nearly the same took come first.
 
 use super::MENDABLE_SHARE;
-use super::bridges::bridges_or_feet;
+use super::bridges::{bridges, bridges_or_feet};
 use super::coarse::Coarse;
 use super::reach::{Reach, SHORTER_TOOL_SHARE, bounds, bounds_along, choose, gains};
 use super::setting::Setting;
@@ -17,7 +17,7 @@ use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::{Holding, HoldingMode, Tool};
 use crate::plan::{Action, Origin, Step, StepKind};
 use crate::region::steady;
-use crate::voxel::BitGrid;
+use crate::voxel::{BitGrid, distance_within};
 use rayon::prelude::*;
 
 /// The subtractive steps, the state they leave, and what of the deep material they left standing.
@@ -54,6 +54,11 @@ const RETRY_SHARE: f64 = 0.05;
 /// which is rare twice in a row.
 const BRIDGE_ROUNDS: usize = 6;
 
+/// A tip is so many voxels at most, and its bridge of skin is so near to it, in voxels: target that touches the rest of
+/// it by a corner, as the tip of an ear does.
+const TIP_VOXELS: usize = 100;
+const TIP_NEAR: f64 = 3.0;
+
 /// What is to be cut, and from how many directions at most.
 pub struct Cuts<'a> {
     pub removable: &'a BitGrid,
@@ -81,7 +86,10 @@ pub fn cut_blocks(
     cutter.repeat(before, false, ctx)?;
     // Where others follow, the usual cutters need not be looked at closely before them.
     let alone = cutter.cutters.len() == setting.cutters().len();
-    cutter.cut(samples, alone, ctx)?;
+    // Nor again where an earlier plan looked along every direction with them.
+    if alone || before.is_empty() {
+        cutter.cut(samples, alone, ctx)?;
+    }
     if !alone && !cutter.cutting.unreached.is_empty() {
         cutter.cutters = setting.cutters();
         cutter.cut(samples, true, ctx)?;
@@ -157,6 +165,7 @@ pub(super) struct Cutter<'s, 'a> {
     pub setting: &'s Setting<'a>,
     coarse: &'s Coarse,
     pub removable: &'s BitGrid,
+    deep: &'s BitGrid,
     /// What stands at the end, on the coarse grid and on the job's.
     kept: BitGrid,
     pub fine_kept: BitGrid,
@@ -173,7 +182,7 @@ impl<'s, 'a> Cutter<'s, 'a> {
         setting: &'s Setting<'a>,
         coarse: &'s Coarse,
         removable: &'s BitGrid,
-        deep: &BitGrid,
+        deep: &'s BitGrid,
     ) -> Self {
         let kept = setting.job.initial.minus(removable);
         let unreached = removable.and(deep);
@@ -181,6 +190,7 @@ impl<'s, 'a> Cutter<'s, 'a> {
             setting,
             coarse,
             removable,
+            deep,
             kept: coarse.most(&kept),
             least: (COARSE_GAIN_SHARE * unreached.count() as f64) as usize,
             fine_kept: kept,
@@ -259,12 +269,14 @@ impl<'s, 'a> Cutter<'s, 'a> {
             if !closely {
                 continue;
             }
-            let all: Vec<Reach> = axes.into_iter().chain(samples_here).collect();
             // What no coarse bound is near is looked for last of all, when nothing else stands.
             let few = if holding + 1 < setting.holdings.len() { 0 } else { FEW };
-            let fine = self.fine_bounds(&all, &fixed, &later, few, ctx)?;
-            self.take(&fine, holding, &fixed, None, &later, ctx)?;
-            past.push(all);
+            // What the axes take asks for no look along a hundred directions.
+            for some in [&axes, &samples_here] {
+                let fine = self.fine_bounds(some, &fixed, &later, few, ctx)?;
+                self.take(&fine, holding, &fixed, None, &later, ctx)?;
+            }
+            past.push(axes.into_iter().chain(samples_here).collect());
         }
         // What was left to a later holding in vain, once more in the earlier ones.
         let none = BitGrid::new(setting.job.frame.dims);
@@ -361,7 +373,11 @@ impl<'s, 'a> Cutter<'s, 'a> {
                 }
                 HoldingMode::Refixture => BitGrid::new(region.dims()),
             };
-            let bridges = bridges_or_feet(&held, &loose, &region, feet);
+            let aside = self.spare_near(&loose).and(&region);
+            let mut bridges = bridges(&held, &loose, &aside);
+            if bridges.is_empty() {
+                bridges = bridges_or_feet(&held, &loose, &region, feet);
+            }
             tracing::debug!(loose = loose.count(), bridges = bridges.count(), "bridge");
             if bridges.is_empty() {
                 break;
@@ -369,6 +385,14 @@ impl<'s, 'a> Cutter<'s, 'a> {
             rest.subtract(&bridges);
         }
         BitGrid::new(state.dims())
+    }
+
+    /// What may stand at the end beside a loose tip: skin. A bridge of it is no residual.
+    fn spare_near(&self, loose: &BitGrid) -> BitGrid {
+        match loose.count() <= TIP_VOXELS {
+            true => distance_within(loose, TIP_NEAR).and(self.removable).minus(self.deep),
+            false => BitGrid::new(loose.dims()),
+        }
     }
 
     /// Takes directions greedily until none of them removes any more of the deep material. With
@@ -481,6 +505,29 @@ mod tests {
         assert!(left > 0 && 4 * left < removable.count(), "{left} of {}", removable.count());
         let held = |solid: &BitGrid| steady(solid, &frame, job.rules.holding, job.rules.grip_mm);
         assert_eq!(held(&cut.state), cut.state);
+    }
+
+    /// The tip of a cow's ear touches the rest of it by a corner; the stock beside it stood for good.
+    #[test]
+    fn a_tip_hangs_on_skin_rather_than_on_what_has_to_go() {
+        let frame = Frame { pitch: 1.0, dims: [30, 30, 24], origin: DVec3::ZERO };
+        let tip = [20, 20, 10];
+        let block = |[x, y, z]: [usize; 3]| (4..20).contains(&x) && (4..20).contains(&y) && z < 10;
+        let stock = |[x, y, z]: [usize; 3]| {
+            (17..25).contains(&x) && (17..25).contains(&y) && (7..14).contains(&z)
+        };
+        let initial = BitGrid::from_fn(frame.dims, |v| block(v) || stock(v));
+        let target = BitGrid::from_fn(frame.dims, |v| block(v) || v == tip);
+        let job = job_of(frame, initial, target, |_| true);
+        let (setting, coarse) = (Setting::new(&job), Coarse::of(&job));
+        let removable = job.initial.minus(&job.target);
+        let deep = removable.minus(&distance_within(&job.target, 1.0));
+        let cuts =
+            Cuts { removable: &removable, deep: &deep, samples: 20, before: &[], patient: false };
+        let cut = cut_blocks(&setting, &coarse, &cuts, &Ctx::quiet()).unwrap();
+        assert_eq!(cut.unreached.count(), 0);
+        let held = steady(&cut.state, &frame, job.rules.holding, job.rules.grip_mm);
+        assert!(held.get(tip) && held == cut.state);
     }
 
     /// On a bracket five directions in vain hid those along which half of the supports could be had.

@@ -48,6 +48,9 @@ pub const FEW_BELOW: usize = 100;
 /// at a bracket's shelf it gets at all of it, below a roof at none.
 const HANGS_SHARE: f64 = 0.9;
 
+/// Voxels left standing, and nothing missing, for which close cuts come before another way to print: a cut or two.
+const TIP_VOXELS: usize = 10;
+
 /// How far around what was missing is printed first, mm: enough for a block with a bead in it.
 const AHEAD_MM: f64 = 1.5;
 
@@ -133,6 +136,13 @@ fn resorted(
         };
         run.clock.lap("blocks");
         best = made.unwrap_or(best);
+        // A tip that close cuts take is no reason to plan all anew.
+        if best.deficit.is_empty() && best.excess.count() <= TIP_VOXELS {
+            let closely = closely_cut(run, under, best.clone())?;
+            if closely.left() == 0 {
+                return Ok(closely);
+            }
+        }
     }
     Ok(best)
 }
