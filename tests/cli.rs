@@ -1,6 +1,8 @@
 //! The command line from outside: what it prints, what it writes, what it returns.
 
 use assert_cmd::Command;
+use hmplan::base::DVec3;
+use hmplan::mesh::{TriMesh, write_obj};
 use hmplan::plan::{PlanFile, StepKind};
 use predicates::prelude::*;
 use predicates::str::contains;
@@ -480,6 +482,33 @@ fn the_same_part_twice_needs_no_step() {
     assert!(file.steps.is_empty());
     assert_eq!((file.summary.reuse_final, file.summary.residual_mm3), (1.0, 0.0));
     hmplan().arg("verify").arg(&dir).assert().code(0);
+}
+
+/// Stock on all sides, as it is drawn in a CAM system: nothing was kept of it, and nobody said why.
+#[test]
+fn a_target_in_the_air_is_named_with_ways_to_keep_it() {
+    let out = tempfile::tempdir().unwrap();
+    let file = |name: &str, spare: f64| {
+        let (low, high) = (DVec3::splat(-spare), DVec3::new(20.0, 15.0, 15.0) + spare);
+        let path = out.path().join(name);
+        write_obj(&TriMesh::cuboid(low, high), fs::File::create(&path).unwrap()).unwrap();
+        path
+    };
+    let (stock, part, dir) = (file("stock.obj", 3.0), file("part.obj", 0.0), out.path().join("d"));
+    let run = |more: &[&str]| {
+        let mut command = hmplan();
+        command.arg("plan").args([&stock, &part]).args(["--resolution", "1.5", "-o"]).arg(&dir);
+        command.args(more).output().unwrap()
+    };
+    let said = String::from_utf8(run(&["--setup", "keep"]).stdout).unwrap();
+    assert!(said.contains("3.0 mm over the base plane") && said.contains("refixture"), "{said}");
+    for ways in [&["--setup", "search"][..], &["--setup", "keep", "--holding", "refixture"]] {
+        let output = run(ways);
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        assert!(!said.contains("over the base plane"), "{said}");
+        assert!(read_plan(&dir).summary.reuse_final > 0.99, "{said}");
+    }
 }
 
 #[test]

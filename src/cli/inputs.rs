@@ -4,7 +4,7 @@
 use super::config::PartConfig;
 use super::exit::Failure;
 use hmplan::base::{Aabb, Ctx, DAffine3, DVec3};
-use hmplan::machine::{Taken, Tool, VOXELS_PER_RADIUS};
+use hmplan::machine::{Holding, HoldingMode, Taken, Tool, VOXELS_PER_RADIUS};
 use hmplan::mesh::{self, Health, ReadOptions, TriMesh};
 use hmplan::plan::{Input, Job};
 use hmplan::voxel::{BitGrid, Frame, blocks, parse_voxel_text, voxelise};
@@ -232,6 +232,20 @@ pub fn below_base(job: &Job) -> Option<String> {
             "The target reaches {:.1} mm below the base plane, where pedestal and table are; \
              raise it in its file or use --setup search.",
             -lowest + job.frame.pitch / 2.0
+        )
+    })
+}
+
+/// How far the target stands over the base plane, in words; nothing when it touches it, or is held anew.
+pub fn above_base(job: &Job) -> Option<String> {
+    let Job { frame, rules, .. } = job;
+    let contact = Holding::AS_CLAMPED.contact(&job.target, frame, rules.grip_mm);
+    let floats = contact.is_empty() && rules.holding == HoldingMode::Base;
+    (floats && !job.target.is_empty()).then(|| {
+        format!(
+            "The target stands {:.1} mm over the base plane: as clamped nothing would hold it in the end, so nothing \
+             of the initial part can be kept; lower it in its file, or use --setup search or --holding refixture.",
+            gap_mm(&job.target, frame)
         )
     })
 }

@@ -89,7 +89,12 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
 }
 
 fn volume(mm3: f64) -> String {
-    if mm3.abs() >= 100.0 { format!("{:.2} cm³", mm3 / 1000.0) } else { format!("{mm3:.1} mm³") }
+    match mm3.abs() {
+        v if v >= 100.0 => format!("{:.2} cm³", mm3 / 1000.0),
+        // A voxel of a fine grid is not nothing.
+        v if v > 0.0 && v < 0.05 => format!("{mm3:.3} mm³"),
+        _ => format!("{mm3:.1} mm³"),
+    }
 }
 
 fn count(n: usize, noun: &str) -> String {

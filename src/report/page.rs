@@ -113,7 +113,11 @@ fn drawings(job: &Job, plan: &Plan) -> Vec<Drawing> {
 
 /// A volume as people read it: cm³ above a tenth of one, mm³ below.
 fn mm3(v: f64) -> String {
-    if v.abs() >= 100.0 { format!("{:.2} cm³", v / 1000.0) } else { format!("{v:.1} mm³") }
+    match v.abs() {
+        a if a >= 100.0 => format!("{:.2} cm³", v / 1000.0),
+        a if a > 0.0 && a < 0.05 => format!("{v:.3} mm³"),
+        _ => format!("{v:.1} mm³"),
+    }
 }
 
 fn thousands(n: usize) -> String {
