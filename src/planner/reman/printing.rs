@@ -5,7 +5,7 @@
 //! on the job's own (`laying`). A large block may close in on what is left: on the slope where it
 //! ends, the first layers of the next block fit no direction. So shares can be left free: what
 //! lies over a plane across the direction of a later block. All else is printed first, and that
-//! block then begins on a clean plane with nothing over it. Blocks have a least size, since a change of
+//! block then begins on a clean plane with nothing over it. Or all goes along the axes first (`print_along_axes`). Blocks have a least size, since a change of
 //! direction for a crumb helps nobody; but where crumbs are all that is missing in the end, they get blocks
 //! as small as they are (`print_crumbs`).
 //!
@@ -150,6 +150,28 @@ pub fn print_blocks(
     if !shares.is_empty() {
         press.print_shares(shares, ctx)?;
     }
+    press.print_among(wanted.added, ctx)?;
+    Ok(press.printing)
+}
+
+/// The same, but along the preferred directions and the axes as long as they lay enough: blocks along tilted ones
+/// may lay more at first and close in on what is left.
+pub fn print_along_axes(
+    setting: &Setting,
+    coarse: &Coarse,
+    wanted: &Wanted,
+    ctx: &Ctx,
+) -> Result<Printing, Cancelled> {
+    let Some(mut press) = Press::new(setting, coarse, wanted) else {
+        return Ok(wanted.unprinted());
+    };
+    let longest = setting.nozzles().last();
+    let axes: Vec<Direction> = (0..setting.holdings.len()).flat_map(|h| setting.axes(h)).collect();
+    let all = press.preferred.clone();
+    press.preferred.extend(longest.into_iter().flat_map(|tool| ways_along(setting, &axes, tool)));
+    let sampled = std::mem::take(&mut press.sampled);
+    press.print_among(wanted.added, ctx)?;
+    (press.preferred, press.sampled) = (all, sampled);
     press.print_among(wanted.added, ctx)?;
     Ok(press.printing)
 }
@@ -518,7 +540,37 @@ fn deposit(block: Block, number: usize, frame: &Frame) -> Step {
 
 #[cfg(test)]
 mod tests {
+    use super::super::local_tests::job_of;
+    use super::super::setting::Setting;
     use super::*;
+    use crate::machine::Taken;
+
+    /// A block that grows on all sides but below: tilted blocks lay more at first and leave more.
+    #[test]
+    fn along_the_axes_a_shell_leaves_less() {
+        let frame = Frame { pitch: 0.6, dims: [62, 46, 42], origin: DVec3::ZERO };
+        let inner = |[x, y, z]: [usize; 3]| (6..56).contains(&x) && (6..40).contains(&y) && z < 34;
+        let outer = |[x, y, z]: [usize; 3]| (3..59).contains(&x) && (3..43).contains(&y) && z < 37;
+        let [initial, target] =
+            [BitGrid::from_fn(frame.dims, inner), BitGrid::from_fn(frame.dims, outer)];
+        let job = job_of(frame, initial, target, |t| t.taken == Taken::Always);
+        let (setting, coarse) = (Setting::new(&job), Coarse::of(&job));
+        let added = job.target.minus(&job.initial);
+        let wanted = Wanted {
+            state: &job.initial,
+            added: &added,
+            core: &added,
+            preferred: &[],
+            samples: 100,
+            patience: Patience::Endless,
+        };
+        let ctx = Ctx::quiet();
+        let greedy = print_blocks(&setting, &coarse, &wanted, &[], &ctx).unwrap();
+        let axes = print_along_axes(&setting, &coarse, &wanted, &ctx).unwrap();
+        let left = |p: &Printing| p.unreached.count();
+        assert!(4 * left(&axes) < 3 * left(&greedy), "{} of {}", left(&axes), left(&greedy));
+        assert!(axes.steps.len() <= greedy.steps.len() + 2, "{}", axes.steps.len());
+    }
 
     #[test]
     fn patience_is_lost_where_many_such_blocks_would_not_do() {

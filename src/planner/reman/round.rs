@@ -5,7 +5,8 @@ use super::coarse::Coarse;
 use super::cutting::{Cuts, cut_blocks};
 use super::locals::WORTH_SHARE;
 use super::printing::{
-    MOST_CRUMBS, Patience, Printing, Share, Wanted, leaves_none, print_blocks, print_crumbs,
+    MOST_CRUMBS, Patience, Printing, Share, Wanted, leaves_none, print_along_axes, print_blocks,
+    print_crumbs,
 };
 use super::reasons::{open_below, reasons};
 use super::setting::Setting;
@@ -233,9 +234,9 @@ pub fn along(clips: &[Clip], preferred: &[Direction]) -> Vec<Direction> {
     clips.iter().map(|c| c.plane.normal).chain(preferred.iter().copied()).collect()
 }
 
-/// Prints, the largest block first; while that leaves a little, once more with the space of some
-/// later block left free from the beginning, and so on with the best of these; what little that leaves in the
-/// end, in blocks however small.
+/// Prints, the largest block first; where that leaves anything, along the axes first; while the better of these leaves
+/// a little, once more with the space of some later block left free from the beginning, and so on with the best of
+/// these; what little that leaves in the end, in blocks however small.
 pub fn printed(
     setting: &Setting,
     coarse: &Coarse,
@@ -252,6 +253,14 @@ pub fn printed(
         Mending::None | Mending::Glance => 0,
     };
     let mut tries = most_voxels / wanted.core.count().max(1);
+    if left(&best) > 0 && tries > 0 {
+        tries -= 1;
+        let other = print_along_axes(setting, coarse, wanted, ctx)?;
+        tracing::debug!(left = left(&other), best = left(&best), "along axes");
+        if left(&other) < left(&best) {
+            best = other;
+        }
+    }
     'mending: while (1..=most).contains(&left(&best)) {
         for share in best.shares.iter().skip(1) {
             if tries == 0 || ctx.out_of_time() {
