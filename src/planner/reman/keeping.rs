@@ -3,8 +3,8 @@
 //! Method. Planes give up all that lies over them. Where the plan that won gives up much, nothing is given up at
 //! first: of a worn part, of which little is to be cut, all is printed on the part as it is (`printed_first`); of others all
 //! that is to go is cut, and the rest printed on supports (`cut_first`) or, where that leaves too much, in any order
-//! without. The coarse grid tells first whether either leaves no more than the rules allow. What is then missing is opened by pits (`pits`), which may give up as much as the plan
-//! that won if that one leaves nothing.
+//! without. The coarse grid tells first whether either leaves no more than the rules allow. What is then missing is
+//! opened by pits (`pits`), which may give up as much as the plan that won if that one leaves nothing.
 //!
 //! Where the first planes give up much of a part that is not worn, this is looked at before any plan under planes: if
 //! it leaves nothing and gives up half of that at most, it is the plan. What was found is not looked for again. With a time

@@ -5,9 +5,9 @@
 //! on the job's own (`laying`). A large block may close in on what is left: on the slope where it
 //! ends, the first layers of the next block fit no direction. So shares can be left free: what
 //! lies over a plane across the direction of a later block. All else is printed first, and that
-//! block then begins on a clean plane with nothing over it. Or all goes along the axes first (`print_along_axes`). Blocks have a least size, since a change of
-//! direction for a crumb helps nobody; but where crumbs are all that is missing in the end, they get blocks
-//! as small as they are (`print_crumbs`).
+//! block then begins on a clean plane with nothing over it. Or all goes along the axes first
+//! (`print_along_axes`). Blocks have a least size, since a change of direction for a crumb helps nobody; but where crumbs
+//! are all that is missing in the end, they get blocks as small as they are (`print_crumbs`).
 //!
 //! Guarantees: each block's voxels are carried, clear and connected when they are laid. Not
 //! guaranteed: that every voxel finds its turn; what no block reaches is returned.
