@@ -59,7 +59,10 @@ pub fn run(config: &PlanConfig, output: &OutputArgs) -> Result<Exit, Failure> {
     let pipeline::Planned { plan, mut figures, schedule, trace, .. } = planned;
     figures.notes.splice(0..0, notes);
     figures.notes.extend(inputs::below_base(&job));
-    figures.notes.extend(inputs::above_base(&job));
+    // Planner nullify keeps nothing to begin with.
+    if config.nullify.is_none() {
+        figures.notes.extend(inputs::above_base(&job));
+    }
     let verdict = clock.time("verify", || verify(&job, plan, &ctx))?;
     let posts = config.nullify.is_none() && (verdict.passed() || config.post_unverified);
     if config.nullify.is_some() {

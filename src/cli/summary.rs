@@ -4,7 +4,7 @@ use super::args::OutputArgs;
 use super::exit::Failure;
 use super::print;
 use hmplan::plan::PlanFile;
-use hmplan::report::RuleLine;
+use hmplan::report::{RuleLine, mm3};
 use std::fmt::Write as _;
 
 /// Prints the summary in the form the flags ask for; nothing with -q.
@@ -35,7 +35,7 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
         "reused",
         format!(
             "{} = {:.1} % of the target ({:.1} % is common to both parts)",
-            volume(s.reused_mm3),
+            mm3(s.reused_mm3),
             100.0 * s.reuse_final,
             100.0 * s.reuse_ideal
         ),
@@ -45,13 +45,13 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
     }
     if s.residual_mm3 > 0.0 {
         let place = location.map_or(String::new(), |l| format!(", most of it at the {l}"));
-        row("RESIDUAL", format!("{} that no step reaches{place}", volume(s.residual_mm3)));
+        row("RESIDUAL", format!("{} that no step reaches{place}", mm3(s.residual_mm3)));
     }
     if s.verified {
         row("verified", format!("all {} rules hold", rules.len()));
     }
-    row("removed", format!("{} in {}", volume(s.removed_mm3), count(s.blocks_sm, "block")));
-    row("added", format!("{} in {}", volume(s.added_mm3), count(s.blocks_am, "block")));
+    row("removed", format!("{} in {}", mm3(s.removed_mm3), count(s.blocks_sm, "block")));
+    row("added", format!("{} in {}", mm3(s.added_mm3), count(s.blocks_am, "block")));
     row(
         "steps",
         format!(
@@ -61,7 +61,7 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
             count(s.holdings, "holding")
         ),
     );
-    row("skin", format!("{} left for finishing", volume(s.skin_mm3)));
+    row("skin", format!("{} left for finishing", mm3(s.skin_mm3)));
     match &file.program {
         Some(p) => {
             row("program", format!("{}, {} lines", p.path, p.lines));
@@ -70,8 +70,8 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
                 format!(
                     "{:.0} min; {} deposited, {} swept away",
                     p.time_s / 60.0,
-                    volume(p.deposited_mm3),
-                    volume(p.removed_mm3)
+                    mm3(p.deposited_mm3),
+                    mm3(p.removed_mm3)
                 ),
             );
         }
@@ -86,15 +86,6 @@ fn table(file: &PlanFile, rules: &[RuleLine], location: Option<&str>) -> String 
         row("note", note.clone());
     }
     out
-}
-
-fn volume(mm3: f64) -> String {
-    match mm3.abs() {
-        v if v >= 100.0 => format!("{:.2} cm³", mm3 / 1000.0),
-        // A voxel of a fine grid is not nothing.
-        v if v > 0.0 && v < 0.05 => format!("{mm3:.3} mm³"),
-        _ => format!("{mm3:.1} mm³"),
-    }
 }
 
 fn count(n: usize, noun: &str) -> String {

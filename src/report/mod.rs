@@ -13,6 +13,6 @@ mod place;
 mod summary;
 
 pub use draw::{Drawing, draw_step};
-pub use page::page;
+pub use page::{mm3, page};
 pub use place::in_words;
 pub use summary::{PlannerFigures, RuleLine, residual_location, rule_lines, summarise};

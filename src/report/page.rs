@@ -111,10 +111,11 @@ fn drawings(job: &Job, plan: &Plan) -> Vec<Drawing> {
     shown.into_par_iter().map(draw).collect()
 }
 
-/// A volume as people read it: cm³ above a tenth of one, mm³ below.
-fn mm3(v: f64) -> String {
+/// A volume in mm³ as people read it: cm³ above a tenth of one, mm³ below.
+pub fn mm3(v: f64) -> String {
     match v.abs() {
         a if a >= 100.0 => format!("{:.2} cm³", v / 1000.0),
+        // A voxel of a fine grid is not nothing.
         a if a > 0.0 && a < 0.05 => format!("{v:.3} mm³"),
         _ => format!("{v:.1} mm³"),
     }

@@ -3,8 +3,9 @@
 //! A block is one over-cut on the state left by the one before it, so its order is valid by
 //! construction. Which direction comes next is decided by an upper bound computed once per
 //! direction and tool: what it could reach if everything removable were gone. Bounds come from the
-//! coarse grid; what the blocks chosen by them leave is looked for again on the job's own, a few
-//! voxels along every direction. Greedy as that is, the small cuts of the plan that wins are then
+//! coarse grid; what the blocks chosen by them leave is looked for again on the job's own, along
+//! the axes and then, what those leave, along the samples. A bridge that holds a loose tip is of skin where that does: skin
+//! may stand. Greedy as all that is, the small cuts of the plan that wins are then
 //! chosen anew (`fewest`). Cuts that an earlier plan for nearly the same took come first.
 
 use super::MENDABLE_SHARE;

@@ -161,6 +161,7 @@ impl Printed {
     }
 }
 
+/// All that is to go cut with nothing given up, and what is missing then printed one way or the other.
 fn kept_and(
     printing: Printed,
     start: &Start,
