@@ -5,7 +5,8 @@
 //! held against the mesh at the middle of their layer.
 //!
 //! ```text
-//! gouge(p)  = max over moves after p was last laid of −d(p, tool)   where positive
+//! gouge(p)  = max over moves after p was last laid of −d(p, tool)   where positive,
+//!             no more than a bead of a later step is away from p
 //! excess(p) = min over moves of d(p, tool) − reach(p)               where p was cut free
 //! reach(p)  = the least d(p, tool) of an end that does not enter the target
 //! outside   = max over beads of the distance from the target + half a bead
@@ -13,12 +14,13 @@
 //!
 //! What lies behind a facet when the plan ends is what the program answers for: facets behind which the
 //! plan itself leaves nothing (skin) are not looked at, and of a face that is laid only what is
-//! cut after it was. Beads that a later cutter sweeps are gone. Of the deepest gouge the move is named that makes it: of
+//! cut after it was. Cuts reach beyond the voxels of a pit at its rim: what is laid in it comes up to the mesh
+//! there again, and where it does nothing is missing. Beads that a later cutter sweeps are gone. Of the deepest gouge the move is named that makes it: of
 //! each move alone the distance is asked for.
 //!
 //! Guarantees: gouges and excess to a micrometre at the middle of each facet. Not guaranteed: between
 //! the middles; moves of tools whose edge is no ball, flat or bull-nose end and no cone on the equator of its
-//! ball, which are left out; what beads leave open.
+//! ball, which are left out; what beads leave open inside.
 
 use super::check::motions;
 use super::interpret::{Gait, Motion};
@@ -118,21 +120,25 @@ pub fn deviation(
     };
     let mut found = Deviation::default();
     let mut sweeps: Vec<Option<Sweep>> = Vec::new();
+    let mut beads: Vec<Option<Beads>> = Vec::new();
     let mut end = job.initial.clone();
     for (i, step) in plan.steps.iter().enumerate() {
         ctx.check()?;
         let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
         let tool = job.tool(&step.tool).ok_or_else(no_tool)?;
-        sweeps.push(match step.kind {
+        match step.kind {
             StepKind::Subtractive => {
                 end.subtract(&step.region);
-                Sweep::of(of_step(i), step.direction.image_plane(), tool, &job.target_mesh)
+                let plane = step.direction.image_plane();
+                sweeps.push(Sweep::of(of_step(i), plane, tool, &job.target_mesh));
+                beads.push(None);
             }
             StepKind::Additive => {
                 end.union_with(&step.region);
-                None
+                sweeps.push(None);
+                beads.push(Beads::of(of_step(i), step.direction, tool));
             }
-        });
+        }
     }
     for (i, step) in plan.steps.iter().enumerate() {
         ctx.check()?;
@@ -152,6 +158,7 @@ pub fn deviation(
     found.facets = facets
         .into_par_iter()
         .filter_map(|corners| facet(corners, job, (plan, &end), &sweeps, stock))
+        .map(|f| if f.off_mm < -GOUGE_MM { filled(f, &sweeps, &beads) } else { f })
         .collect();
     ctx.check()?;
     let (mut machined, mut gouged, mut left, mut unreached) = (0.0, 0.0, 0.0, 0.0);
@@ -261,6 +268,47 @@ fn facet(
     }
     let area = doubled.length() / 2.0;
     Some(Facet { corners, normal, area, off_mm, reach_mm, machined, from })
+}
+
+/// A gouged facet with what later steps lay on it: as deep as no bead comes nearer.
+fn filled(facet: Facet, sweeps: &[Option<Sweep>], beads: &[Option<Beads>]) -> Facet {
+    let p = middle(facet.corners);
+    let (mut depth, mut from) = (0.0f64, facet.from);
+    for i in facet.from..sweeps.len() {
+        if let Some(sweep) = &sweeps[i] {
+            depth = depth.max(-sweep.distance(p, FAR_MM));
+        }
+        if let Some(beads) = beads[i].as_ref().filter(|_| depth > GOUGE_MM) {
+            depth = depth.min(beads.distance(p, depth).max(0.0));
+            from = if depth > GOUGE_MM { from } else { i + 1 };
+        }
+    }
+    Facet { off_mm: -depth, from, ..facet }
+}
+
+/// What one step lays.
+struct Beads {
+    plane: ImagePlane,
+    laid: Swept,
+}
+
+impl Beads {
+    /// Beads as wide as a path, one layer high under the tip; none where nothing is laid.
+    fn of(motions: &[Motion], up: Direction, tool: &Tool) -> Option<Beads> {
+        let (process, plane) = (&tool.process, up.image_plane());
+        let under = DVec3::Z * process.layer_mm;
+        let laid = motions.iter().filter(|m| m.gait == Gait::Deposit);
+        let ends =
+            |m: &Motion| [m.from.unwrap_or(m.to), m.to].map(|tip| turned(plane, tip) - under);
+        let end = End::Flat { radius: process.path_mm / 2.0 };
+        let laid = Swept::of(end, process.layer_mm, laid.map(ends).collect())?;
+        Some(Beads { plane, laid })
+    }
+
+    /// The lesser of `best` and the distance from a point to a bead, negative inside.
+    fn distance(&self, p: DVec3, best: f64) -> f64 {
+        self.laid.distance(turned(self.plane, p), best)
+    }
 }
 
 /// What one step's edge sweeps, and what its end could.
@@ -455,6 +503,41 @@ mod tests {
         assert!(!d.facets.iter().filter(laid).any(|f| f.machined));
         assert!(d.facets.iter().any(|f| f.machined) && d.left == 0.0, "{} left", d.left);
         assert!(d.outside_mm < 1.0, "{} mm", d.outside_mm);
+    }
+
+    /// A cut goes beyond its voxels at their rim. What is laid there later comes up to the mesh again, and the rim
+    /// counted as gouged all the same; where nothing is laid on it, it is.
+    #[test]
+    fn a_rim_that_beads_fill_again_is_not_gouged() {
+        let block = |p: DVec3| p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 9.0;
+        let top: fn(DVec3) -> bool =
+            |p| p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z > 6.0 && p.z < 9.0;
+        let steps = [(StepKind::Subtractive, DVec3::Z, top), (StepKind::Additive, DVec3::Z, top)];
+        let mut w = world("generic-5axis", 0.5, DVec3::new(24.0, 20.0, 11.0), block, &steps);
+        w.job.target_mesh = TriMesh::cuboid(DVec3::new(2.0, 2.0, 0.0), DVec3::new(22.0, 18.0, 9.0));
+        let paths = for_unverified(&w.job, &w.plan, &Ctx::quiet()).unwrap();
+        let text = post(&w.job, &w.plan, &paths, "sha256:0").unwrap().text().to_string();
+        // Heights that are no rapid's 0.3 mm lower, in so many of the two steps.
+        let lowered = |steps: usize| {
+            let mut step = 0;
+            let line = |l: &str| {
+                step += usize::from(l.starts_with("(step "));
+                if !(1..=steps).contains(&step) || l.starts_with("G0") || l.starts_with("G53") {
+                    return format!("{l}\n");
+                }
+                let word = |w: &str| match w.strip_prefix('Z').and_then(|z| z.parse::<f64>().ok()) {
+                    Some(z) => format!("Z{:.3} ", z - 0.3),
+                    None => format!("{w} "),
+                };
+                l.split(' ').map(word).collect::<String>() + "\n"
+            };
+            deviation(&text.lines().map(line).collect::<String>(), &w.job, &w.plan, &Ctx::quiet())
+        };
+        let [right, cut, both] = [0, 1, 2].map(|steps| lowered(steps).unwrap());
+        assert!(right.gouge_mm <= GOUGE_MM, "{}", right.gouge_mm);
+        assert!(cut.gouge_mm > 0.1 && cut.deepest.is_some(), "{}", cut.gouge_mm);
+        assert!(both.gouge_mm <= GOUGE_MM, "{}", both.gouge_mm);
+        assert_eq!((both.gouged, both.deepest), (0.0, None));
     }
 
     /// What fills a slot in a wall goes with a later step; meanwhile it kept the cutter off the wall
