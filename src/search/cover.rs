@@ -26,7 +26,9 @@ pub enum CoverError {
 
 /// Indices of a least-weight choice of sets that covers 0..elements, ascending.
 pub fn set_cover(elements: usize, sets: &[WeightedSet]) -> Result<Vec<usize>, CoverError> {
-    let columns = undominated(elements, sets);
+    let all: Vec<Column> =
+        sets.iter().map(|s| Column { weight: s.weight, covers: &s.covers }).collect();
+    let columns = undominated(elements, &all, |_| 0);
     let mut coverers: Vec<Vec<usize>> = vec![Vec::new(); elements];
     for (i, &c) in columns.iter().enumerate() {
         sets[c].covers.iter().for_each(|e| coverers[*e].push(i));
@@ -54,27 +56,53 @@ pub fn set_cover(elements: usize, sets: &[WeightedSet]) -> Result<Vec<usize>, Co
             let chosen = columns.iter().zip(&is_chosen).filter(|(_, is)| **is);
             return Ok(chosen.map(|(c, _)| *c).collect());
         }
-        is_chosen = least(&weights, &rows)?;
+        is_chosen = vec![false; columns.len()];
+        for i in least(&weights, &rows, |i| sets[columns[i]].covers.len())? {
+            is_chosen[i] = true;
+        }
     }
 }
 
-/// Which columns the least choice takes that has one of every row.
-fn least(weights: &[f64], rows: &[&[usize]]) -> Result<Vec<bool>, CoverError> {
+/// The least choice of columns that has one of every row. Of what few rows leave alike, the column that covers the
+/// most elements in all is looked at: others then miss fewer.
+fn least(
+    weights: &[f64],
+    rows: &[&[usize]],
+    size: impl Fn(usize) -> usize,
+) -> Result<Vec<usize>, CoverError> {
     // A tiny surcharge per set prefers fewer sets among equal weights; it is far below any
     // difference of real weights (fractions of a volume with at most 10⁷ voxels).
     const SET_SURCHARGE: f64 = 1e-9;
+    let mut of_column: Vec<Vec<usize>> = vec![Vec::new(); weights.len()];
+    for (r, row) in rows.iter().enumerate() {
+        row.iter().for_each(|i| of_column[*i].push(r));
+    }
+    let covers = weights.iter().zip(&of_column);
+    let all: Vec<Column> =
+        covers.map(|(weight, covers)| Column { weight: *weight, covers }).collect();
+    let columns = undominated(rows.len(), &all, size);
     let mut variables = ProblemVariables::new();
     let chosen: Vec<Variable> =
-        weights.iter().map(|_| variables.add(variable().binary())).collect();
-    let objective: Expression =
-        weights.iter().zip(&chosen).map(|(w, v)| (w + SET_SURCHARGE) * *v).sum();
+        columns.iter().map(|_| variables.add(variable().binary())).collect();
+    let weight = |c: &usize| weights[*c] + SET_SURCHARGE;
+    let objective: Expression = columns.iter().zip(&chosen).map(|(c, v)| weight(c) * *v).sum();
     let mut model = variables.minimise(objective).using(microlp);
-    for row in rows {
-        let coverers: Expression = row.iter().map(|i| Expression::from(chosen[*i])).sum();
-        model = model.with(coverers.geq(1.0));
+    let mut coverers = vec![Expression::default(); rows.len()];
+    for (c, v) in columns.iter().zip(&chosen) {
+        of_column[*c].iter().for_each(|r| coverers[*r] += *v);
+    }
+    for row in coverers {
+        model = model.with(row.geq(1.0));
     }
     let solution = model.solve().map_err(|e| CoverError::Solver(e.to_string()))?;
-    Ok(chosen.iter().map(|v| solution.value(*v) > 0.5).collect())
+    let taken = columns.iter().zip(&chosen).filter(|(_, v)| solution.value(**v) > 0.5);
+    Ok(taken.map(|(c, _)| *c).collect())
+}
+
+/// A set as far as some elements go.
+struct Column<'a> {
+    weight: f64,
+    covers: &'a [usize],
 }
 
 type Bits = Vec<u64>;
@@ -89,16 +117,19 @@ fn is_subset(a: &Bits, b: &Bits) -> bool {
     a.iter().zip(b).all(|(a, b)| a & !b == 0)
 }
 
-/// Columns that no other, no heavier column contains; of equals the first stays.
-fn undominated(elements: usize, sets: &[WeightedSet]) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..sets.len()).filter(|i| !sets[*i].covers.is_empty()).collect();
+/// Columns that no other, no heavier column contains; of equals the one of the largest `size`, and the first of these,
+/// stays.
+fn undominated(elements: usize, columns: &[Column], size: impl Fn(usize) -> usize) -> Vec<usize> {
+    let is_any = |i: &usize| !columns[*i].covers.is_empty();
+    let mut order: Vec<usize> = (0..columns.len()).filter(is_any).collect();
     order.sort_by(|&a, &b| {
-        let weight = sets[a].weight.total_cmp(&sets[b].weight);
-        weight.then(sets[b].covers.len().cmp(&sets[a].covers.len())).then(a.cmp(&b))
+        let ([one, other], largest) = ([&columns[a], &columns[b]], size(b).cmp(&size(a)));
+        let weight = one.weight.total_cmp(&other.weight);
+        weight.then(other.covers.len().cmp(&one.covers.len())).then(largest).then(a.cmp(&b))
     });
     let mut kept: Vec<(usize, Bits)> = Vec::new();
     for i in order {
-        let b = bits(elements, sets[i].covers.iter().copied());
+        let b = bits(elements, columns[i].covers.iter().copied());
         if !kept.iter().any(|(_, k)| is_subset(&b, k)) {
             kept.push((i, b));
         }
