@@ -164,7 +164,8 @@ impl Free {
         let (us, vs) = (range(low.x, high.x, l.n[0]), range(low.y, high.y, l.n[1]));
         vs.flat_map(|j| us.clone().map(move |i| [i, j])).all(|c| {
             let over = self.obstacles.at(c) - SAME_HEIGHT_MM - tip.z;
-            over <= tool.active_lower_surface(l.uv(c).distance(at))
+            // Most lie under the tip: no edge is lower than that.
+            over <= 0.0 || over <= tool.active_lower_surface(l.uv(c).distance(at))
         })
     }
 
