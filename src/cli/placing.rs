@@ -184,32 +184,34 @@ impl Placing<'_> {
         }
         let mut planned = vec![most_promising(&glances)];
         let mut best = self.plan_at(&places[planned[0]])?;
-        let mut lines = vec![told(places, planned[0], &best.standing(), " as planned")];
+        let (mut kept, mut standings) = (planned[0], vec![best.standing()]);
         if !best.is_enough() {
             self.look_at_more(&mut glances, places)?;
         }
-        if glances.len() > 1 {
-            for (i, glance) in glances.iter().enumerate() {
-                lines.push(told(places, i, &glance.standing, " at a glance"));
-            }
-        }
+        let mut is_late = false;
         while !best.is_enough()
             && let Some(next) = next_to_plan(&glances, &planned, &best.standing())
         {
             if self.ctx.out_of_time() {
-                lines.push("The time limit came before the other placements.".into());
+                is_late = true;
                 break;
             }
             planned.push(next);
             let made = self.plan_at(&places[next])?;
-            lines.push(told(places, next, &made.standing(), " as planned"));
+            standings.push(made.standing());
             if made.is_worth_more_than(&best) {
-                best = made;
+                (best, kept) = (made, next);
             }
         }
-        if lines.len() > 1 {
-            best.notes.extend(lines);
+        if planned.len().max(glances.len()) > 1 {
+            for (i, standing) in planned.iter().zip(&standings) {
+                let how = if *i == kept { ", this plan" } else { ", planned as well" };
+                best.notes.push(told(places, *i, standing, how));
+            }
+            let others = glances.iter().enumerate().filter(|(i, _)| !planned.contains(i));
+            best.notes.extend(others.map(|(i, glance)| promised(places, i, &glance.standing)));
         }
+        best.notes.extend(is_late.then(|| LATE.into()));
         Ok(best)
     }
 
@@ -219,11 +221,11 @@ impl Placing<'_> {
         let mut lines = Vec::new();
         for (i, place) in places.iter().enumerate() {
             if best.is_some() && self.ctx.out_of_time() {
-                lines.push("The time limit came before the other placements.".into());
+                lines.push(LATE.into());
                 break;
             }
             let made = self.plan_at(place)?;
-            lines.push(told(places, i, &made.standing(), " as planned"));
+            lines.push(told(places, i, &made.standing(), ", planned"));
             if best.as_ref().is_none_or(|b| made.standing() < b.standing()) {
                 best = Some(made);
             }
@@ -388,6 +390,22 @@ fn next_to_plan(glances: &[Glance], planned: &[usize], best: &reman::Standing) -
         !planned.contains(&i) && (best.class == 2 || loss < best.loss_mm3())
     };
     losses.filter(promising).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
+}
+
+/// What is said where not all could be planned.
+const LATE: &str = "The time limit came before the other placements.";
+
+/// One line on what a place promised by a look on the coarse grid, which tells places apart and judges none.
+fn promised(places: &[Place], i: usize, s: &reman::Standing) -> String {
+    let share = 100.0 * places[i].reused_share;
+    format!(
+        "Placement {} of {}, {share:.1} % inside, looked at on a coarse grid only: some {:.0} mm³ given up, \
+         {:.0} mm³ left.",
+        i + 1,
+        places.len(),
+        s.given_up_mm3,
+        s.left_mm3
+    )
 }
 
 /// One line on how a plan of a place stands.

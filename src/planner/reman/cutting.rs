@@ -57,7 +57,7 @@ const BRIDGE_ROUNDS: usize = 6;
 
 /// A tip is so many voxels at most, and its bridge of skin is so near to it, in voxels: target that touches the rest of
 /// it by a corner, as the tip of an ear does.
-const TIP_VOXELS: usize = 100;
+const LOOSE_TIP_VOXELS: usize = 100;
 const TIP_NEAR: f64 = 3.0;
 
 /// What is to be cut, and from how many directions at most.
@@ -390,7 +390,7 @@ impl<'s, 'a> Cutter<'s, 'a> {
 
     /// What may stand at the end beside a loose tip: skin. A bridge of it is no residual.
     fn spare_near(&self, loose: &BitGrid) -> BitGrid {
-        match loose.count() <= TIP_VOXELS {
+        match loose.count() <= LOOSE_TIP_VOXELS {
             true => distance_within(loose, TIP_NEAR).and(self.removable).minus(self.deep),
             false => BitGrid::new(loose.dims()),
         }
