@@ -15,8 +15,9 @@
 //! What lies behind a facet when the plan ends is what the program answers for: facets behind which the
 //! plan itself leaves nothing (skin) are not looked at, and of a face that is laid only what is
 //! cut after it was. Cuts reach beyond the voxels of a pit at its rim: what is laid in it comes up to the mesh
-//! there again, and where it does nothing is missing. Beads that a later cutter sweeps are gone. Of the deepest gouge the move is named that makes it: of
-//! each move alone the distance is asked for.
+//! there again, and where it does nothing is missing. Beads of supports fill nothing. Beads that a later cutter
+//! sweeps are gone. Of the deepest gouge the move is named that makes it: of each move alone the distance is
+//! asked for.
 //!
 //! Guarantees: gouges and excess to a micrometre at the middle of each facet. Not guaranteed: between
 //! the middles; moves of tools whose edge is no ball, flat or bull-nose end and no cone on the equator of its
@@ -136,7 +137,7 @@ pub fn deviation(
             StepKind::Additive => {
                 end.union_with(&step.region);
                 sweeps.push(None);
-                beads.push(Beads::of(of_step(i), step.direction, tool));
+                beads.push(Beads::of(of_step(i), step.direction, tool, job));
             }
         }
     }
@@ -293,13 +294,17 @@ struct Beads {
 }
 
 impl Beads {
-    /// Beads as wide as a path, one layer high under the tip; none where nothing is laid.
-    fn of(motions: &[Motion], up: Direction, tool: &Tool) -> Option<Beads> {
+    /// Beads as wide as a path, one layer high under the tip, of which the middle is target; none where none is laid.
+    fn of(motions: &[Motion], up: Direction, tool: &Tool, job: &Job) -> Option<Beads> {
         let (process, plane) = (&tool.process, up.image_plane());
         let under = DVec3::Z * process.layer_mm;
-        let laid = motions.iter().filter(|m| m.gait == Gait::Deposit);
-        let ends =
-            |m: &Motion| [m.from.unwrap_or(m.to), m.to].map(|tip| turned(plane, tip) - under);
+        let from = |m: &Motion| m.from.unwrap_or(m.to);
+        let is_of_target = |m: &&Motion| {
+            let middle = (from(m) + m.to) / 2.0 - up.vec() * (process.layer_mm / 2.0);
+            job.frame.voxel_at(middle).is_some_and(|v| job.target.get(v))
+        };
+        let laid = motions.iter().filter(|m| m.gait == Gait::Deposit).filter(is_of_target);
+        let ends = |m: &Motion| [from(m), m.to].map(|tip| turned(plane, tip) - under);
         let end = End::Flat { radius: process.path_mm / 2.0 };
         let laid = Swept::of(end, process.layer_mm, laid.map(ends).collect())?;
         Some(Beads { plane, laid })
