@@ -2,7 +2,8 @@
 //!
 //! Method: a gap hardly wider than the cutter has room for it on one line, which need not run over the cells'
 //! middles. Around a voxel that the lattice left, places much closer together than cells are tried, the
-//! nearest first, each with the height over the meshes.
+//! nearest first, each with the height over the meshes. Where the edge may go into them, the place from which it
+//! goes least deep is looked for, ever nearer to the best one.
 //!
 //! Guarantees: a tip is no lower than the lowest free one over the meshes, or with a nick goes no deeper into them, its edge holds no middle of a voxel that
 //! stays, moved to its cell, and comes within the slack of the one to cut, aside and below. Not guaranteed: that a gap with no more room than the places are apart is found.
@@ -18,6 +19,16 @@ const APART: f64 = 0.25;
 
 /// Places along the edge's radius, at most.
 const MOST_PER_RADIUS: f64 = 12.0;
+
+/// How much less deep a cutter has to go into the surfaces for a place to be better than another, mm.
+const SHALLOWER_MM: f64 = 0.005;
+
+/// Looks around the best place, closer by half where nothing better is found.
+const CLOSER_LOOKS: usize = 6;
+
+/// From places where the edge goes into the meshes a voxel is met within this share of the slack: no deeper than it
+/// must, but for rounding.
+const NEARLY: f64 = 0.9;
 
 /// Voxels looked at together: more keep more threads busy, fewer know more of the tips found before.
 const AT_A_TIME: usize = 64;
@@ -60,29 +71,89 @@ impl Between<'_> {
         Ok(tips)
     }
 
-    /// The nearest of the places from which a voxel is met in its middle, or else within the slack.
+    /// The nearest of the places from which a voxel is met in its middle, or else within the slack; where the edge
+    /// may go into the meshes, that from which it goes least deep.
     fn tip(&self, voxel: DVec3, places: &[DVec2]) -> Option<DVec3> {
+        if self.nick > 0.0 {
+            return self.shallowest(voxel, places);
+        }
         let mut on = None;
         [0.0, self.slack].into_iter().find_map(|slack| {
-            places.iter().find_map(|by| {
-                let (at, most) =
-                    (voxel.truncate() + *by, highest(self.tool, voxel, by.length(), slack));
-                let may = most > f64::NEG_INFINITY;
-                if !may || !self.exact.is_free_nicked(at, most, self.nick, self.lowest, &mut on) {
-                    return None;
-                }
-                // Deeper than it must where it may, for the rounding of what is made of it.
-                let lowest = self.exact.lowest_nicked(at, self.nick, self.lowest);
-                let tip = at.extend(lowest.max(most - self.slack));
-                self.free.is_clear(self.tool, tip).then_some(tip)
-            })
+            let mut tip = |by: &DVec2| self.tip_at((voxel, *by), (slack, 0.0), &mut on);
+            places.iter().find_map(&mut tip)
         })
+    }
+
+    /// The tip from which a voxel is met going least deep into the meshes, of all the places and of
+    /// those around the best of them.
+    fn shallowest(&self, voxel: DVec3, places: &[DVec2]) -> Option<DVec3> {
+        /// A place, how deep the edge goes into the meshes there, mm, and the tip.
+        type Found = (DVec2, f64, DVec3);
+        let slack = NEARLY * self.slack;
+        let mut on = None;
+        // The place if it is better than the best so far.
+        let mut better = |by: DVec2, best: Option<Found>| -> Option<Found> {
+            let mut nick = best.map_or(self.nick, |(_, nick, _)| nick - SHALLOWER_MM);
+            let mut found = None;
+            while nick >= 0.0
+                && let Some(tip) = self.tip_at((voxel, by), (slack, nick), &mut on)
+            {
+                found = Some((by, nick, tip));
+                nick -= SHALLOWER_MM;
+            }
+            found
+        };
+        let mut best = None;
+        for by in places {
+            best = better(*by, best).or(best);
+        }
+        let mut step = self.apart() / 2.0;
+        for _ in 0..CLOSER_LOOKS {
+            let (middle, ..) = best?;
+            let mut moved = false;
+            for (i, j) in (-2..=2).flat_map(|j| (-2..=2).map(move |i| (i, j))) {
+                if let Some(found) = better(middle + DVec2::new(i.into(), j.into()) * step, best) {
+                    (best, moved) = (Some(found), true);
+                }
+            }
+            if !moved {
+                step /= 2.0;
+            }
+        }
+        best.map(|(.., tip)| tip)
+    }
+
+    /// The tip at a place beside a voxel from which its edge comes within `slack` of the voxel's middle, going no
+    /// deeper than `nick` into the meshes.
+    fn tip_at(
+        &self,
+        (voxel, by): (DVec3, DVec2),
+        (slack, nick): (f64, f64),
+        on: &mut Option<u32>,
+    ) -> Option<DVec3> {
+        let at = voxel.truncate() + by;
+        let most = highest(self.tool, voxel, by.length(), slack);
+        let may =
+            most > f64::NEG_INFINITY && self.exact.is_free_nicked(at, most, nick, self.lowest, on);
+        if !may {
+            return None;
+        }
+        // Deeper than it must where it may, for the rounding of what is made of it.
+        let lowest = self.exact.lowest_nicked(at, nick, self.lowest);
+        let tip = at.extend(lowest.max(most - self.slack));
+        self.free.is_clear(self.tool, tip).then_some(tip)
+    }
+
+    /// How far apart places are, mm.
+    fn apart(&self) -> f64 {
+        let reach = self.tool.active_radius() + self.slack;
+        (APART * self.cell).max(reach / MOST_PER_RADIUS)
     }
 
     /// Places around a voxel, the nearest first.
     fn places(&self) -> Vec<DVec2> {
         let reach = self.tool.active_radius() + self.slack;
-        let apart = (APART * self.cell).max(reach / MOST_PER_RADIUS);
+        let apart = self.apart();
         let n = (reach / apart).floor() as i64;
         let all = (-n..=n).flat_map(|j| (-n..=n).map(move |i| (i, j)));
         let mut cells: Vec<(i64, i64)> = all.collect();
@@ -102,4 +173,84 @@ pub(super) fn cuts(tool: &Tool, tip: DVec3, voxel: DVec3, slack: f64) -> bool {
 /// The highest tip that cuts a voxel from `rho` mm aside; −∞ from too far.
 fn highest(tool: &Tool, voxel: DVec3, rho: f64, slack: f64) -> f64 {
     voxel.z + slack - tool.active_lower_surface((rho - slack).max(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Replay;
+    use super::super::mill::Work;
+    use super::super::near::voxels_near;
+    use super::super::tests::world;
+    use super::*;
+    use crate::base::DVec3;
+    use crate::mesh::TriMesh;
+    use crate::plan::StepKind;
+
+    /// Two walls on a floor, with a gap of so many mm between them along x.
+    fn walls(gap: f64) -> TriMesh {
+        let boxed = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
+        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+        for part in [
+            boxed([2.0, 2.0, 0.0], [22.0, 18.0, 5.0]),
+            boxed([2.0, 2.0, 5.0], [22.0, 10.0 - gap / 2.0, 12.0]),
+            boxed([2.0, 10.0 + gap / 2.0, 5.0], [22.0, 18.0, 12.0]),
+        ] {
+            let first = vertices.len() as u32;
+            vertices.extend_from_slice(part.vertices());
+            triangles.extend(part.triangles().iter().map(|t| t.map(|i| i + first)));
+        }
+        TriMesh::new(vertices, triangles).unwrap()
+    }
+
+    /// A gap into which a cutter goes by the middles of voxels, but not by the mesh: from the places found it gouges either wall
+    /// no deeper than it must, which is half of what the gap is too narrow. Once it went as deep as it might.
+    #[test]
+    fn a_gap_too_narrow_is_gouged_no_deeper_than_it_must_be() {
+        const GAP_MM: f64 = 2.94;
+        let slot = |p: DVec3| (p.y - 10.0).abs() < GAP_MM / 2.0 && p.z > 5.0;
+        let block = |p: DVec3| p.x > 2.0 && p.x < 22.0 && (p.y - 10.0).abs() < 8.0 && p.z < 12.0;
+        let size = DVec3::new(24.0, 20.0, 14.0);
+        let mut w =
+            world("generic-5axis", 0.5, size, block, &[(StepKind::Subtractive, DVec3::Z, slot)]);
+        (w.job.target_mesh, w.job.initial_mesh) = (walls(GAP_MM), walls(0.0));
+        let replay = Replay::of(&w.job, &w.plan).unwrap();
+        let surfaces =
+            [&w.job.target_mesh, &w.job.initial_mesh].map(|m| voxels_near(m, &w.job.frame));
+        let tool = w.job.cutters.iter().find(|t| t.name == "ball-3x30").unwrap();
+        let work = Work {
+            job: &w.job,
+            frame: &w.job.frame,
+            step: &w.plan.steps[0],
+            tool,
+            before: &replay.states[0],
+            after: &replay.states[1],
+            fixed: &replay.fixed[0],
+            surfaces: &surfaces,
+            ctx: &Ctx::quiet(),
+        };
+        let free = Free::around(&work, work.after, tool.active_radius());
+        let exact = Exact::of(&work, &free).unwrap().unwrap();
+        let lowest = exact.heights(&work, &free, 0.0, 0.0, 0.0).unwrap();
+        let between = |nick: f64| Between {
+            exact: &exact,
+            lowest: &lowest,
+            free: &free,
+            tool,
+            cell: free.window.s,
+            slack: 0.25,
+            nick,
+        };
+        let inside: Vec<DVec3> =
+            (8..40).map(|k| DVec3::new(f64::from(k) * 0.5 + 0.25, 10.25, 6.75)).collect();
+        let count = |nick: f64| between(nick).tips(&inside, &Ctx::quiet()).unwrap();
+        assert!(count(0.0).is_empty() && count(0.02).is_empty());
+        let tips = count(0.2);
+        assert!(!tips.is_empty());
+        for tip in tips {
+            let is_free = |nick: f64| {
+                exact.is_free_nicked(tip.truncate(), tip.z + 1e-6, nick, &lowest, &mut None)
+            };
+            assert!(is_free(0.04) && !is_free(0.02), "{tip}");
+        }
+    }
 }

@@ -7,6 +7,8 @@
 //! keeps it and the edge over it r from the surface, looked for by going away from the nearest of it again and again.
 //! What of the crowded a slimmer ball end reaches and has room for is left to it, along the same direction and as held
 //! for it. Of a tapered edge's cut what a wider one does not reach counts as crowded, of a small cut all of it.
+//! What neither can make of the cut before the other is done is its own cutter's again, and where little has to be
+//! given back to that one for it, cut with the rest.
 //!
 //! Guarantees: those of cuts; the state after each of the plan's own cuts is what it was, and so are its directions
 //! and holdings. Not guaranteed: that there is such a cutter, or that it is long enough; that a place is found where
@@ -22,7 +24,7 @@ use crate::machine::Tool;
 use crate::mesh::{NearestTriangle, SurfacePoint};
 use crate::plan::{Job, Step};
 use crate::planner::PlanError;
-use crate::voxel::BitGrid;
+use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -33,6 +35,11 @@ const LEAST_VOXELS: usize = 20;
 
 /// Share of it that the other cutter has room for at least.
 const LEAST_SHARE: f64 = 0.5;
+
+/// What is left for the cut's own cutter at last is cut with the rest where what lies so many radii beside it, and
+/// over it, is left to that cutter too, if this is no more than a share of the rest: paths leave a percent standing.
+const BESIDE_RADII: [f64; 3] = [0.5, 1.0, 2.0];
+const BACK_SHARE: f64 = 0.002;
 
 /// A stouter cutter is taken where it has room for this share of all that is crowded, or of what a slimmer one has.
 const NEARLY: f64 = 0.98;
@@ -105,18 +112,37 @@ fn by_room(run: &Run, before: Before, step: &Step) -> Result<Option<Vec<Step>>, 
     if its.count() < least || (its.count() as f64) < LEAST_SHARE * crowded.count() as f64 {
         return Ok(None);
     }
-    let mut state = state.clone();
-    let mut cut = |tool: &Tool, region: &BitGrid| {
-        let way = (tool, step.direction);
-        let part = held_part(setting, coarse, (&state, region), fixed, way);
-        state.subtract(&part);
-        part
+    let parts_of = |its: &BitGrid| {
+        let mut state = state.clone();
+        let mut cut = |tool: &Tool, region: &BitGrid| {
+            let part = held_part(setting, coarse, (&state, region), fixed, (tool, step.direction));
+            state.subtract(&part);
+            part
+        };
+        let first = cut(own, &step.region.minus(its));
+        let second = cut(tool, &step.region.minus(&first));
+        let left = step.region.minus(&first).minus(&second);
+        let last = if left.is_empty() { left.clone() } else { cut(own, &left) };
+        (left == last, [first, second, last])
     };
-    let first = cut(own, &step.region.minus(&its));
-    let second = cut(tool, &step.region.minus(&first));
-    let left = step.region.minus(&first).minus(&second);
-    let last = cut(own, &left);
-    let is_whole = last == left;
+    let (mut is_whole, mut parts) = parts_of(&its);
+    let mut fewer = its.clone();
+    for radii in BESIDE_RADII {
+        if parts[2].is_empty() {
+            break;
+        }
+        run.ctx.check()?;
+        fewer.subtract(&over(&job.frame, &fewer, &parts[2], (own, step.direction), radii));
+        let back = its.count() - fewer.count();
+        if back as f64 > BACK_SHARE * parts[0].count() as f64 {
+            break;
+        }
+        let (whole, now) = parts_of(&fewer);
+        if whole && now[2].is_empty() {
+            (is_whole, parts) = (whole, now);
+        }
+    }
+    let [first, second, last] = parts;
     tracing::debug!(
         own = own.name,
         tool = tool.name,
@@ -129,6 +155,30 @@ fn by_room(run: &Run, before: Before, step: &Step) -> Result<Option<Vec<Step>>, 
     );
     let part = |tool: &Tool, region| Step { tool: tool.name.clone(), region, ..step.clone() };
     Ok(is_whole.then(|| vec![part(own, first), part(tool, second), part(own, last)]))
+}
+
+/// Those of some voxels that lie over others, or beside what does by so many radii of a cutter.
+fn over(
+    frame: &Frame,
+    some: &BitGrid,
+    others: &BitGrid,
+    (tool, direction): (&Tool, Direction),
+    radii: f64,
+) -> BitGrid {
+    let (plane, radius) = (direction.image_plane(), tool.active_radius());
+    let seen = |v: [usize; 3]| {
+        let p = frame.center(v);
+        plane.across(p).extend(plane.height(p))
+    };
+    let others: Vec<DVec3> = others.iter_ones().map(seen).collect();
+    let is_over = |v: &[usize; 3]| {
+        let p = seen(*v);
+        let aside = |o: &DVec3| o.truncate().distance(p.truncate());
+        others.iter().any(|o| p.z >= o.z - radius && aside(o) <= radii * radius)
+    };
+    let mut over = BitGrid::new(some.dims());
+    some.iter_ones().filter(is_over).for_each(|v| over.set(v, true));
+    over
 }
 
 /// Those of some voxels around which a ball end and its edge over that have room beside the target's surface.
@@ -272,6 +322,29 @@ mod tests {
                     let found = edge.has_room(&surface, p, 0.1);
                     assert!(found == fits, "{width} {k} {radius}");
                 }
+            }
+        }
+    }
+
+    /// A voxel's own column and, within the radii, those beside it, from a radius under it up.
+    #[test]
+    fn what_lies_over_a_voxel_is_found_along_any_axis() {
+        let frame = Frame { pitch: 0.5, dims: [12; 3], origin: DVec3::ZERO };
+        let machine = crate::machine::Machine::builtin("generic-5axis").unwrap();
+        let tool = machine.tools.iter().find(|t| t.name == "ball-2x20").unwrap();
+        let all = BitGrid::from_fn(frame.dims, |_| true);
+        let one = BitGrid::from_fn(frame.dims, |v| v == [5, 6, 4]);
+        for (direction, axis) in [(Direction::Z, 2), (Direction::NEG_X, 0)] {
+            let up = if direction == Direction::Z { 1 } else { -1 };
+            for radii in [0.5, 1.0] {
+                let found = over(&frame, &all, &one, (tool, direction), radii);
+                let is_over = |v: [usize; 3]| {
+                    let by: [i64; 3] = [0, 1, 2].map(|a| v[a] as i64 - [5, 6, 4][a]);
+                    let aside: i64 = (0..3).filter(|a| *a != axis).map(|a| by[a] * by[a]).sum();
+                    // The radius is two pitches.
+                    by[axis] * up >= -2 && aside as f64 <= 4.0 * radii * radii
+                };
+                assert_eq!(found, BitGrid::from_fn(frame.dims, is_over), "{direction:?} {radii}");
             }
         }
     }

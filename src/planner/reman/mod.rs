@@ -406,8 +406,8 @@ fn one_round(
             more.map_or(under, |more| on_what_hangs(more, job))
         }
     };
-    best = fitted(&mut run, best)?;
     best = roughed(&mut run, best)?;
+    best = fitted(&mut run, best)?;
     run.report.note_supports(job, aside, why);
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();

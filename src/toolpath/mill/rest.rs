@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Share of the region that must be swept: a little more than the program's check asks for.
-const LEAST_SHARE: f64 = 0.985;
+const LEAST_SHARE: f64 = 0.981;
 
 /// Of a region of so few voxels a few, even a single one, are more than may be left.
 const FEW: usize = 4000;
