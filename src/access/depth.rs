@@ -19,6 +19,7 @@ use super::cells::Cells;
 use super::filter::{Image, Kernel, Op, filter};
 use super::lattice::DepthMap;
 use super::view::{Under, View, WIDEST_CELLS, rounding_cells, spacing};
+use super::wanted::Wanted;
 use crate::base::Direction;
 use crate::machine::{Section, Tool};
 use crate::voxel::BitGrid;
@@ -27,7 +28,8 @@ use crate::voxel::BitGrid;
 /// cell.
 pub fn cutter_map(scene: &Scene, wanted: &BitGrid, tool: &Tool, direction: Direction) -> DepthMap {
     let cutter = Cutter::of(scene, tool, direction);
-    let mut view = View::new(scene, wanted, direction, cutter.margin, cutter.deepest());
+    let wanted = Wanted::of(wanted);
+    let mut view = View::new(scene, &wanted, direction, cutter.margin, cutter.deepest());
     view.look_for(std::slice::from_ref(tool));
     let under = view.under(&view.window(), 0.0);
     cutter.map(&mut view, &under, direction)
@@ -36,7 +38,7 @@ pub fn cutter_map(scene: &Scene, wanted: &BitGrid, tool: &Tool, direction: Direc
 /// [`cutter_map`] of several tools along one direction; the scene is looked at only once.
 pub fn cutter_maps(
     scene: &Scene,
-    wanted: &BitGrid,
+    wanted: &Wanted,
     tools: &[Tool],
     direction: Direction,
 ) -> Vec<DepthMap> {
@@ -120,7 +122,8 @@ pub fn nozzle_map(
     direction: Direction,
     dip_mm: f64,
 ) -> DepthMap {
-    let view = View::new(scene, wanted, direction, spacing(&scene.frame, direction), 0.0);
+    let wanted = Wanted::of(wanted);
+    let view = View::new(scene, &wanted, direction, spacing(&scene.frame, direction), 0.0);
     nozzle_map_in(view, tool, direction, dip_mm)
 }
 

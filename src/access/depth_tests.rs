@@ -118,7 +118,7 @@ fn a_map_of_few_voxels_says_what_that_of_the_grid_says() {
             let few = BitGrid::from_fn(frame.dims, |v| {
                 (0..3).all(|a| (corner[a]..corner[a] + 9).contains(&v[a])) && !solid.get(v)
             });
-            for (tool, map) in tools.iter().zip(cutter_maps(&scene, &few, &tools, d)) {
+            for (tool, map) in tools.iter().zip(cutter_maps(&scene, &Wanted::of(&few), &tools, d)) {
                 let all = reached_along(&scene, &solid, tool, d).and(&few);
                 assert_eq!(crate::access::reachable(&map, &few, &frame), all, "{d:?} {corner:?}");
                 taken += all.count();
@@ -134,7 +134,7 @@ fn a_map_of_few_voxels_says_what_that_of_the_grid_says() {
         let few = BitGrid::from_fn(frame.dims, |v @ [x, y, z]| {
             (x * 7919 + y * 104_729 + z * 1299 + i * 31) % 131 == 0 && !solid.get(v)
         });
-        for (tool, map) in tools.iter().zip(cutter_maps(&scene, &few, &tools, d)) {
+        for (tool, map) in tools.iter().zip(cutter_maps(&scene, &Wanted::of(&few), &tools, d)) {
             let all = reached_along(&scene, &solid, tool, d).and(&few);
             assert_eq!(crate::access::reachable(&map, &few, &frame), all, "{d:?}");
             taken[0] += all.count();

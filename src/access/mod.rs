@@ -46,6 +46,7 @@ mod tilted;
 mod tops;
 mod view;
 mod voxel_tool;
+mod wanted;
 
 pub use additive::{CarrierTable, supported};
 pub use close_cut::Close;
@@ -63,3 +64,4 @@ pub use support::{Overhang, grounded, self_supported, supported_access, supporti
 pub use survey::{AnyTool, Damage, Reach, Survey, damage, reached, survey};
 pub use tilted::support_along;
 pub use voxel_tool::{NoVoxelTool, VoxelTool};
+pub use wanted::Wanted;

@@ -12,9 +12,10 @@ use super::floors::Floors;
 use super::image::{DepthImage, splat, spread};
 use super::lattice::{Lattice, corners};
 use super::tops::{NONE, axis_of, tops, voxel};
+use super::wanted::Wanted;
 use crate::base::{Aabb, DVec2, DVec3, Direction, ImagePlane};
 use crate::machine::{Section, Shape, Tool};
-use crate::voxel::{BitGrid, Frame};
+use crate::voxel::Frame;
 use std::borrow::Cow;
 use std::f64::consts::SQRT_2;
 
@@ -33,9 +34,6 @@ pub(super) fn rounding_cells(direction: Direction) -> f64 {
     if direction.is_grid_axis() { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 }
 }
 
-/// Voxels asked for up to which floors are made: of more they take longer than they save.
-const FLOOR_VOXELS: usize = 20_000;
-
 /// Margin in mm below which a point stands surely lower than what a verdict looks at: far above
 /// the rounding of f32 heights, far below a voxel.
 const LOWER_MM: f64 = 0.01;
@@ -44,7 +42,7 @@ const LOWER_MM: f64 = 0.01;
 pub(super) struct View<'a> {
     scene: &'a Scene,
     /// The voxels asked for; none for all of the grid.
-    wanted: Option<&'a BitGrid>,
+    wanted: Option<&'a Wanted<'a>>,
     pub plane: ImagePlane,
     /// Box of the wanted voxels.
     within: Aabb,
@@ -68,7 +66,7 @@ impl<'a> View<'a> {
     /// For the voxels of `wanted`; `deepest` is the largest k of the tools that look, mm.
     pub fn new(
         scene: &'a Scene,
-        wanted: &'a BitGrid,
+        wanted: &'a Wanted<'a>,
         direction: Direction,
         margin: f64,
         deepest: f64,
@@ -142,8 +140,8 @@ impl<'a> View<'a> {
         };
         if let Some((axis, up)) = axis_of(self.plane.d) {
             // The voxels of a column share their cell, and the highest is the last to be refused.
-            let width = wanted.dims()[usize::from(axis == 0)].max(1);
-            let tops = tops(wanted, axis, up);
+            let width = wanted.grid().dims()[usize::from(axis == 0)].max(1);
+            let tops = tops(wanted.grid(), axis, up);
             for (i, top) in tops.iter().enumerate().filter(|(_, top)| **top != NONE) {
                 mark(voxel(axis, [i % width, i / width], *top as usize));
             }
@@ -151,7 +149,7 @@ impl<'a> View<'a> {
             // To look up more voxels than there are cells takes longer than the cells in between.
             return self.under_box(lattice);
         } else {
-            wanted.iter_ones().for_each(mark);
+            wanted.for_each(mark);
         }
         Under { spans: Spans::of(&under, lattice.nu), few: Some((under, ceilings)) }
     }
@@ -202,13 +200,14 @@ impl<'a> View<'a> {
 
     /// [`View::look`] at all that tools ask for, and at nothing that has no say for them.
     pub fn look_for(&mut self, tools: &[Tool]) {
-        let few = self.wanted.filter(|w| w.count() <= FLOOR_VOXELS);
+        // Of more voxels floors take longer than they save.
+        let few = self.wanted.and_then(Wanted::few);
         if let (Some(few), true) = (few, self.images.is_empty()) {
-            let place = |v| {
-                let centre = self.scene.frame.center(v);
+            let place = |v: &[usize; 3]| {
+                let centre = self.scene.frame.center(*v);
                 (self.plane.across(centre), self.plane.height(centre))
             };
-            let voxels: Vec<(DVec2, f64)> = few.iter_ones().map(place).collect();
+            let voxels: Vec<(DVec2, f64)> = few.iter().map(place).collect();
             self.floors = Some(Floors::of(&voxels, &self.steps(tools)));
         }
         let sections = tools.iter().flat_map(|t| &t.sections);

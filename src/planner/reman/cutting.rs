@@ -13,7 +13,7 @@ use super::bridges::{bridges, bridges_or_feet};
 use super::coarse::Coarse;
 use super::reach::{Reach, SHORTER_TOOL_SHARE, bounds, bounds_along, choose, gains};
 use super::setting::Setting;
-use crate::access::{Close, Scene, over_cut};
+use crate::access::{Close, Scene, Wanted, over_cut};
 use crate::base::{Cancelled, Ctx, DVec3, Direction};
 use crate::machine::{Holding, HoldingMode, Tool};
 use crate::plan::{Action, Origin, Step, StepKind};
@@ -315,7 +315,8 @@ impl<'s, 'a> Cutter<'s, 'a> {
         let scene = Scene::new(frame, &self.fine_kept, fixed);
         let left = &self.cutting.unreached.minus(later);
         let wanted = self.coarse.any(left);
-        let few = left.count() <= few;
+        let all_left = Wanted::of(left);
+        let few = all_left.count() <= few;
         let cutters = self.cutters;
         // The bounds of one direction stand together, one a tool.
         let fine: Vec<Vec<Reach<'a>>> = coarse
@@ -331,11 +332,11 @@ impl<'s, 'a> Cutter<'s, 'a> {
                     return Ok(Vec::new());
                 }
                 let direction = of_direction[0].direction;
-                let near = match few {
-                    true => left.clone(),
-                    false => self.coarse.refined(&doubtful, frame.dims).and(left),
-                };
-                Ok(bounds_along(&scene, &near, cutters, direction))
+                if few {
+                    return Ok(bounds_along(&scene, &all_left, cutters, direction));
+                }
+                let near = self.coarse.refined(&doubtful, frame.dims).and(left);
+                Ok(bounds_along(&scene, &Wanted::of(&near), cutters, direction))
             })
             .collect::<Result<_, Cancelled>>()?;
         Ok(fine.into_iter().flatten().collect())

@@ -1,10 +1,10 @@
 //! What directions and tools could reach at best, and which of them comes next.
 
 use super::setting::Setting;
-use crate::access::{Scene, cutter_maps, reachable};
+use crate::access::{DepthMap, Scene, Wanted, cutter_maps, reachable};
 use crate::base::{Cancelled, Ctx, Direction};
 use crate::machine::Tool;
-use crate::voxel::BitGrid;
+use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
 
 /// A shorter tool is taken when it reaches this share of what the best tool reaches; the rest is
@@ -33,6 +33,23 @@ impl Bound {
         let any = |word: &&u64| **word != 0;
         let mut words = Vec::with_capacity(all.iter().filter(any).count());
         words.extend((0..).zip(all.iter().copied()).filter(|(_, word)| *word != 0));
+        Bound { words }
+    }
+
+    /// What of some voxels a map reaches.
+    fn reached(map: &DepthMap, wanted: &Wanted, frame: &Frame) -> Bound {
+        let (grid, Some(few)) = (wanted.grid(), wanted.few()) else {
+            return Bound::of(&reachable(map, wanted.grid(), frame));
+        };
+        let (per_row, ny) = (grid.words_per_row(), grid.dims()[1]);
+        let mut words: Vec<(u32, u64)> = Vec::new();
+        for [x, y, z] in few.iter().copied().filter(|v| map.reaches(frame.center(*v))) {
+            let (i, bit) = ((per_row * (y + ny * z) + x / 64) as u32, 1 << (x % 64));
+            match words.last_mut().filter(|(last, _)| *last == i) {
+                Some((_, word)) => *word |= bit,
+                None => words.push((i, bit)),
+            }
+        }
         Bound { words }
     }
 
@@ -70,9 +87,10 @@ pub fn bounds<'a>(
     directions: &[Direction],
     ctx: &Ctx,
 ) -> Result<Vec<Reach<'a>>, Cancelled> {
+    let wanted = Wanted::of(wanted);
     let along = |direction: &Direction| {
         ctx.check()?;
-        Ok(bounds_along(scene, wanted, cutters, *direction))
+        Ok(bounds_along(scene, &wanted, cutters, *direction))
     };
     let reach: Vec<Vec<Reach<'a>>> =
         directions.par_iter().map(along).collect::<Result<_, Cancelled>>()?;
@@ -82,13 +100,13 @@ pub fn bounds<'a>(
 /// The same along one direction.
 pub fn bounds_along<'a>(
     scene: &Scene,
-    wanted: &BitGrid,
+    wanted: &Wanted,
     cutters: &'a [Tool],
     direction: Direction,
 ) -> Vec<Reach<'a>> {
     let maps = cutter_maps(scene, wanted, cutters, direction);
     let reach = |(tool, map)| {
-        let bound = Bound::of(&reachable(map, wanted, &scene.frame));
+        let bound = Bound::reached(map, wanted, &scene.frame);
         Reach { direction, tool, bound }
     };
     cutters.iter().zip(&maps).map(reach).collect()
@@ -113,13 +131,14 @@ pub fn within_reach(
             if left.is_empty() {
                 return Ok(some.clone());
             }
+            let wanted = Wanted::of(&left);
             let along: Vec<BitGrid> = directions
                 .par_iter()
                 .map(|d| {
                     ctx.check()?;
                     let mut any = BitGrid::new(some.dims());
-                    for map in cutter_maps(&scene, &left, setting.cutters(), *d) {
-                        any.union_with(&reachable(&map, &left, frame));
+                    for map in cutter_maps(&scene, &wanted, setting.cutters(), *d) {
+                        Bound::reached(&map, &wanted, frame).add_to(&mut any);
                     }
                     Ok(any)
                 })
@@ -163,6 +182,34 @@ mod tests {
         bound.add_to(&mut sum);
         assert_eq!(sum, a.or(&b));
         assert!(Bound::of(&BitGrid::new([70, 9, 11])).words.is_empty());
+    }
+
+    #[test]
+    fn a_few_voxels_looked_at_one_by_one_are_what_a_map_reaches() {
+        let frame = Frame { pitch: 0.5, dims: [70, 30, 24], origin: crate::base::DVec3::ZERO };
+        let kept = BitGrid::from_fn(frame.dims, |[x, y, z]| z < 6 + x / 8 && y > 3 && y < 26);
+        let air = BitGrid::from_fn(frame.dims, |[_, y, z]| z < 22 && y > 3 && y < 26).minus(&kept);
+        let few = BitGrid::from_fn(frame.dims, |[x, y, z]| (x + 3 * y + 7 * z) % 11 == 0).and(&air);
+        let of = crate::machine::Machine::builtin("generic-5axis").unwrap();
+        let cutters = of.tools_of(crate::machine::ToolKind::Subtractive);
+        let cutters: Vec<Tool> = cutters.into_iter().cloned().collect();
+        let scene = Scene::new(&frame, &kept, &[]);
+        let mut most = 0;
+        for d in [
+            Direction::Z,
+            Direction::NEG_X,
+            Direction::new(crate::base::DVec3::new(0.3, -0.2, 0.9)).unwrap(),
+        ] {
+            let wanted = Wanted::of(&few);
+            assert!(wanted.few().is_some());
+            for map in cutter_maps(&scene, &wanted, &cutters, d) {
+                let want = reachable(&map, &few, &frame);
+                let got = Bound::reached(&map, &wanted, &frame);
+                assert_eq!(got.words, Bound::of(&want).words, "{d:?}");
+                most = most.max(want.count());
+            }
+        }
+        assert!(most > 300, "{most}");
     }
 
     #[test]

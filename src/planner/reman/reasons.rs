@@ -2,7 +2,7 @@
 
 use super::coarse::Coarse;
 use super::setting::Setting;
-use crate::access::{Scene, cutter_maps, reachable};
+use crate::access::{Scene, Wanted, cutter_maps, reachable};
 use crate::base::{Cancelled, Ctx, Direction, fibonacci_sphere};
 use crate::machine::HoldingMode;
 use crate::voxel::BitGrid;
@@ -74,7 +74,7 @@ pub fn open_below(
         .into_par_iter()
         .map(|d| {
             ctx.check()?;
-            let maps = cutter_maps(&scene, &wanted, setting.cutters(), d);
+            let maps = cutter_maps(&scene, &Wanted::of(&wanted), setting.cutters(), d);
             Ok(maps.iter().map(|m| reachable(m, &wanted, frame)).collect())
         })
         .collect::<Result<_, Cancelled>>()?;
