@@ -9,8 +9,9 @@ use super::cells::Cells;
 use super::filter::Spans;
 use super::floors::Floors;
 use super::lattice::Lattice;
+use super::scene::{BRICK, Bar, Row};
 use super::tops::{NONE, axis_of, tops, voxel};
-use crate::base::{DVec2, DVec3, ImagePlane};
+use crate::base::{Aabb, DVec2, DVec3, ImagePlane};
 use pulp::{Arch, NullaryFnOnce};
 
 /// The highest points over the cells of a lattice, mm, with its pooling.
@@ -33,8 +34,8 @@ pub fn splat(
             Arch::new().dispatch(SplatVoxels { scene, plane, least, bricks, images })
         }
     };
-    let fixed = SplatFixed { scene, plane, least, floors, images };
-    let highest = of_voxels.max(Arch::new().dispatch(fixed));
+    let fixed = SplatFixed { scene, plane, least, floors, images, highest: of_voxels };
+    let highest = Arch::new().dispatch(fixed);
     for i in 1..images.len() {
         let (finer, coarser) = images.split_at_mut(i);
         let (Some((_, fine, from)), Some((_, lattice, image))) =
@@ -69,6 +70,8 @@ struct SplatFixed<'a> {
     least: f64,
     floors: Option<&'a Floors>,
     images: &'a mut [DepthImage],
+    /// Height of the highest point so far.
+    highest: f64,
 }
 
 impl NullaryFnOnce for SplatFixed<'_> {
@@ -76,26 +79,35 @@ impl NullaryFnOnce for SplatFixed<'_> {
 
     #[inline(always)]
     fn call(self) -> f64 {
-        let SplatFixed { scene, plane, least, floors, images } = self;
+        let SplatFixed { scene, plane, least, floors, images, mut highest } = self;
         let plane = *plane;
         let [u, v, d] = [plane.u, plane.v, plane.d].map(DVec3::abs);
-        let mut highest = f64::MIN;
-        for (b, points) in scene.groups() {
+        let widest = images.last().map(|(_, widest, _)| *widest);
+        // Whether no point of a box is asked for.
+        let is_passed_over = |b: &Aabb, highest: f64| {
             let (middle, half) = ((b.min + b.max) / 2.0, (b.max - b.min) / 2.0);
             let top = plane.height(middle) + d.dot(half) + ROUNDING_MM;
-            let spread = DVec2::new(u.dot(half), v.dot(half));
-            let widest = images.last().map(|(_, widest, _)| widest);
-            let at = plane.across(middle);
-            let is_seen = widest.is_some_and(|w| w.may_hold(at, spread))
-                && floors.is_none_or(|f| f.may_matter(at, spread, top));
-            if top <= highest && (top < least || !is_seen) {
+            let is_seen = || {
+                let (at, spread) = (plane.across(middle), DVec2::new(u.dot(half), v.dot(half)));
+                widest.is_some_and(|w| w.may_hold(at, spread))
+                    && floors.is_none_or(|f| f.may_matter(at, spread, top))
+            };
+            top <= highest && (top < least || !is_seen())
+        };
+        for (pile, groups) in scene.piles() {
+            if is_passed_over(pile, highest) {
                 continue;
             }
-            for p in points {
-                let z = plane.height(*p);
-                highest = if z > highest { z } else { highest };
-                if z >= least {
-                    put(images, plane.across(*p), z);
+            for (b, points) in groups {
+                if is_passed_over(b, highest) {
+                    continue;
+                }
+                for p in points {
+                    let z = plane.height(*p);
+                    highest = if z > highest { z } else { highest };
+                    if z >= least {
+                        put(images, plane.across(*p), z);
+                    }
                 }
             }
         }
@@ -141,15 +153,14 @@ fn splat_columns(
     highest
 }
 
-/// Voxels that are passed over together, along x, y and z: of those in a word of a row four bricks have their say.
-const BRICK: [usize; 3] = [16, 8, 8];
-
 /// Which bricks of a grid may hold an obstacle that matters.
 struct Bricks {
-    /// Words along x, bricks along y.
-    n: [usize; 2],
-    /// Of each word of a row of bricks, the voxels in those that may.
+    /// Words of a row.
+    words: usize,
+    /// Of each word of the rows of a bar, the voxels in bricks that may.
     masks: Vec<u64>,
+    /// Whether any of a bar may.
+    any: Vec<bool>,
 }
 
 impl Bricks {
@@ -167,20 +178,26 @@ impl Bricks {
             floors.may_matter(plane.across(middle), spread, plane.height(middle) + rise)
         };
         let mut masks = vec![0; words * ny * nz];
-        for (i, mask) in masks.iter_mut().enumerate() {
+        let filled = &scene.filled().bricks;
+        for (i, (mask, filled)) in
+            masks.iter_mut().zip(filled).enumerate().filter(|(_, (_, f))| **f != 0)
+        {
             let (w, y, z) = (i % words, i / words % ny, i / words / ny);
-            for k in (0..64 / BRICK[0]).filter(|k| may([w * (64 / BRICK[0]) + k, y, z])) {
-                *mask |= (!0 >> (64 - BRICK[0])) << (k * BRICK[0]);
+            for k in 0..64 / BRICK[0] {
+                let brick = (!0 >> (64 - BRICK[0])) << (k * BRICK[0]);
+                if filled & brick != 0 && may([w * (64 / BRICK[0]) + k, y, z]) {
+                    *mask |= brick;
+                }
             }
         }
-        Bricks { n: [words, ny], masks }
+        let any = masks.chunks(words.max(1)).map(|row| row.iter().any(|m| *m != 0)).collect();
+        Bricks { words, masks, any }
     }
 
-    /// The masks of the words of a row of voxels.
+    /// The masks of the words of the rows of a bar.
     #[inline(always)]
-    fn of_row(&self, y: usize, z: usize) -> &[u64] {
-        let [words, ny] = self.n;
-        &self.masks[words * (y / BRICK[1] + ny * (z / BRICK[2]))..][..words]
+    fn of_bar(&self, number: usize) -> &[u64] {
+        &self.masks[self.words * number..][..self.words]
     }
 }
 
@@ -209,61 +226,63 @@ impl NullaryFnOnce for SplatVoxels<'_> {
         let pitch = scene.frame.pitch;
         let step = lattice.steps(plane, pitch)[0];
         let wide_step = widest.steps(plane, pitch)[0].truncate();
-        let [nx, ny, nz] = scene.voxels().dims();
-        for (y, z) in (0..nz).flat_map(|z| (0..ny).map(move |y| (y, z))) {
-            let row = scene.voxels().row(y, z);
-            let Some((lo, hi)) = ends(row) else { continue };
-            let centre = scene.frame.center([0, y, z]);
-            let across = plane.across(centre);
-            let first = lattice.place(across).extend(plane.height(centre));
-            let [p, q] = [lo, hi].map(|x| (first + step * x as f64).z);
-            let top = if p > q { p } else { q };
-            highest = if top > highest { top } else { highest };
-            if top < least {
+        let nx = scene.voxels().dims()[0];
+        let steep = plane.d.abs();
+        // Along the direction the highest comes early from one end or the other.
+        let (bars, n) = (&scene.filled().bars, scene.filled().bars.len());
+        let bars = (0..n).map(|i| &bars[if plane.d.z > 0.0 { n - 1 - i } else { i }]);
+        for Bar { number, low, high, rows } in bars {
+            let may = bricks.is_none_or(|b| b.any[*number]);
+            let [low, high] = [low, high].map(|v| scene.frame.center(*v));
+            let half = (high - low) / 2.0;
+            let most = plane.height(low + half) + steep.dot(half) + ROUNDING_MM;
+            if most <= highest && (!may || most < least) {
                 continue;
             }
-            let masks = bricks.map(|b| b.of_row(y, z));
-            if masks.is_some_and(|m| m.iter().all(|m| *m == 0)) {
-                continue;
-            }
-            // What falls beside the widest image is asked for by none.
-            let within = widest.steps_within(widest.place(across), wide_step, nx);
-            let (from, end) = (within.start.max(lo), within.end.min(hi + 1));
-            if from >= end {
-                continue;
-            }
-            let last = end - 1;
-            for (w, &bits) in row.iter().enumerate().take(last / 64 + 1).skip(from / 64) {
-                let mut rest = bits & masks.map_or(!0, |m| m[w]);
-                if w == from / 64 {
-                    rest &= !0 << (from % 64);
+            let masks = bricks.map(|b| b.of_bar(*number));
+            for &Row { y, z, ends: [lo, hi] } in rows {
+                let centre = scene.frame.center([0, y, z]);
+                let across = plane.across(centre);
+                let first = lattice.place(across).extend(plane.height(centre));
+                let [p, q] = [lo, hi].map(|x| (first + step * x as f64).z);
+                let top = if p > q { p } else { q };
+                highest = if top > highest { top } else { highest };
+                if top < least || !may {
+                    continue;
                 }
-                if w == last / 64 {
-                    rest &= !0 >> (63 - last % 64);
+                let row = scene.voxels().row(y, z);
+                // What falls beside the widest image is asked for by none.
+                let within = widest.steps_within(widest.place(across), wide_step, nx);
+                let (from, end) = (within.start.max(lo), within.end.min(hi + 1));
+                if from >= end {
+                    continue;
                 }
-                while rest != 0 {
-                    let x = w * 64 + rest.trailing_zeros() as usize;
-                    rest &= rest - 1;
-                    let at = first + step * x as f64;
-                    if let Some(c) = lattice.cell_at(at.truncate()).and_then(|c| image.get_mut(c)) {
-                        *c = if at.z as f32 > *c { at.z as f32 } else { *c };
-                        continue;
+                let last = end - 1;
+                for (w, &bits) in row.iter().enumerate().take(last / 64 + 1).skip(from / 64) {
+                    let mut rest = bits & masks.map_or(!0, |m| m[w]);
+                    if w == from / 64 {
+                        rest &= !0 << (from % 64);
                     }
-                    put(coarser, lattice.across(at.truncate()), at.z);
+                    if w == last / 64 {
+                        rest &= !0 >> (63 - last % 64);
+                    }
+                    while rest != 0 {
+                        let x = w * 64 + rest.trailing_zeros() as usize;
+                        rest &= rest - 1;
+                        let at = first + step * x as f64;
+                        if let Some(c) =
+                            lattice.cell_at(at.truncate()).and_then(|c| image.get_mut(c))
+                        {
+                            *c = if at.z as f32 > *c { at.z as f32 } else { *c };
+                            continue;
+                        }
+                        put(coarser, lattice.across(at.truncate()), at.z);
+                    }
                 }
             }
         }
         highest
     }
-}
-
-/// The first and the last voxel of a row.
-#[inline(always)]
-fn ends(row: &[u64]) -> Option<(usize, usize)> {
-    let first = row.iter().position(|w| *w != 0)?;
-    let last = row.iter().rposition(|w| *w != 0)?;
-    let [lo, hi] = [row[first].trailing_zeros(), 63 - row[last].leading_zeros()];
-    Some((first * 64 + lo as usize, last * 64 + hi as usize))
 }
 
 /// The highest of the cells of an image that lie in each cell of a coarser one, where it is higher
