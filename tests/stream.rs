@@ -415,6 +415,22 @@ fn an_unchecked_program_needs_a_flag() {
 }
 
 #[test]
+fn what_a_run_may_be_worse_for_is_an_event_among_the_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = write(dir.path(), "G21\nG90\nG54\nG1 X9 F900\n");
+    let send = |more: &[&str]| finished(hmplan(&file, Path::new("sim:grbl,speed=1"), more));
+    let (code, _, stderr) = send(&[]);
+    assert!(code == 0 && stderr.contains("warning: the program does not end with M2"), "{stderr}");
+    let (code, _, stderr) = send(&["--json"]);
+    let event = |line: &str| serde_json::from_str::<serde_json::Value>(line).expect(line);
+    let events: Vec<serde_json::Value> = stderr.lines().map(event).collect();
+    let is_it = |e: &serde_json::Value| {
+        e["event"] == "warning" && e["what"].as_str().unwrap().contains("does not end with M2")
+    };
+    assert!(code == 0 && events.iter().any(is_it), "{stderr}");
+}
+
+#[test]
 fn a_job_says_whether_its_delivery_is_verified() {
     let dir = tempfile::tempdir().unwrap();
     let file = write(dir.path(), "G21\nG90\nG54\nG0 X1 Y1\nG1 X9 F900\nM30\n");

@@ -397,15 +397,18 @@ const LATE: &str = "The time limit came before the other placements.";
 
 /// One line on what a place promised by a look on the coarse grid, which tells places apart and judges none.
 fn promised(places: &[Place], i: usize, s: &reman::Standing) -> String {
-    let share = 100.0 * places[i].reused_share;
     format!(
-        "Placement {} of {}, {share:.1} % inside, looked at on a coarse grid only: some {:.0} mm³ given up, \
-         {:.0} mm³ left.",
-        i + 1,
-        places.len(),
+        "{}, looked at on a coarse grid only: some {:.0} mm³ given up, {:.0} mm³ left.",
+        named(places, i),
         s.given_up_mm3,
         s.left_mm3
     )
+}
+
+/// Which of some places it is.
+fn named(places: &[Place], i: usize) -> String {
+    let share = 100.0 * places[i].reused_share;
+    format!("Placement {} of {}, {share:.1} % inside", i + 1, places.len())
 }
 
 /// One line on how a plan of a place stands.
@@ -418,8 +421,7 @@ fn told(places: &[Place], i: usize, s: &reman::Standing, how: &str) -> String {
             s.given_up_mm3, s.left_mm3
         ),
     };
-    let share = 100.0 * places[i].reused_share;
-    format!("Placement {} of {}, {share:.1} % inside{how}: {what}.", i + 1, places.len())
+    format!("{}{how}: {what}.", named(places, i))
 }
 
 /// Which axis of its file a part has up: "-x".

@@ -4,7 +4,7 @@ use super::args::{OutputArgs, StreamArgs};
 use super::exit::{Exit, Failure};
 use super::keys::Keys;
 use super::output::PLAN;
-use super::stream_view::{View, report, report_json};
+use super::stream_view::{View, report, report_json, seconds, warn};
 use super::{print, profiles};
 use hmplan::machine::{ExtruderPort, Machine};
 use hmplan::plan::PlanFile;
@@ -49,8 +49,8 @@ pub fn run(args: &StreamArgs, output: &OutputArgs) -> Result<Exit, Failure> {
     if args.check && !control.is_grbl() {
         return Err(Failure::Input(format!("{control} has no check mode; use --dry-run")));
     }
-    for warning in look.warnings.iter().filter(|_| !output.quiet) {
-        let _ = writeln!(std::io::stderr(), "warning: {warning}");
+    for warning in look.warnings.iter().filter(|_| output.json || !output.quiet) {
+        warn(output.json, 0.0, warning);
     }
     let journal_path = journal_path(args, file);
     let mut from = (1, None);
@@ -117,7 +117,8 @@ fn job(
         print(report(&outcome, &view).as_bytes())?;
     }
     if let Some(e) = view.journal.as_ref().and_then(|j| j.failed.as_ref()) {
-        let _ = writeln!(std::io::stderr(), "warning: the journal could not be written ({e})");
+        let what = format!("the journal could not be written ({e})");
+        warn(output.json, seconds(view.now), &what);
     }
     match outcome.ending.exit_code() {
         0 => Ok(Exit::Done),

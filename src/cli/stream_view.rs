@@ -39,6 +39,19 @@ pub struct View {
     pub waits: u64,
 }
 
+/// Says on standard error what a run may be worse for: a line of text, or an event among the others.
+pub fn warn(json: bool, t: f64, what: &str) {
+    // A log that nobody reads any more must not end a job.
+    let _ = match json {
+        true => writeln!(io::stderr(), "{}", warning(t, what)),
+        false => writeln!(io::stderr(), "warning: {what}"),
+    };
+}
+
+fn warning(t: f64, what: &str) -> Value {
+    json!({"event": "warning", "t": t, "what": what})
+}
+
 impl View {
     pub fn new(output: &OutputArgs, script: Arc<Script>, journal: Option<Journal>) -> View {
         let mode = match (output.json, output.quiet) {
@@ -180,10 +193,7 @@ impl Observer for View {
             Note::Stopping(why) => self
                 .say(&format!("stopping: {why}"), json!({"event": "stopping", "t": t, "why": why})),
             Note::Warning(what) => {
-                self.say(
-                    &format!("warning: {what}"),
-                    json!({"event": "warning", "t": t, "what": what}),
-                );
+                self.say(&format!("warning: {what}"), warning(t, what));
             }
             Note::Said { device, text } if text.starts_with("[MSG") => self.say(
                 &format!("{device}: {text}"),
@@ -200,7 +210,7 @@ impl Observer for View {
     }
 }
 
-fn seconds(at: Micros) -> f64 {
+pub fn seconds(at: Micros) -> f64 {
     (at as f64 / SECOND as f64 * 1000.0).round() / 1000.0
 }
 

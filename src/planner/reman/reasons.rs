@@ -24,6 +24,11 @@ pub fn reasons(
 ) -> Vec<String> {
     let job = setting.job;
     let voxel = job.frame.pitch.powi(3);
+    let tolerance = format!("{:.2}", job.rules.tolerance_mm);
+    let turned = match job.rules.holding {
+        HoldingMode::Base => "--holding refixture, ",
+        HoldingMode::Refixture => "",
+    };
     let mut lines = Vec::new();
     let mut standing = excess.count();
     let below = below.count();
@@ -38,13 +43,15 @@ pub fn reasons(
     if standing as f64 >= WORTH_SAYING * excess.count() as f64 && standing > 0 {
         lines.push(format!(
             "{:.1} mm³ left standing is out of every cutter's reach: corners sharper than the \
-             cutters are round, or deeper than they are long",
+             cutters are round, or deeper than they are long; a slimmer or a longer one (--sm-tool) or \
+             a --tolerance above {tolerance} mm may leave less",
             standing as f64 * voxel
         ));
     }
     if !deficit.is_empty() {
         lines.push(format!(
-            "{:.1} mm³ is missing: when its turn comes, no nozzle gets at it or nothing carries it",
+            "{:.1} mm³ is missing: when its turn comes, no nozzle gets at it or nothing carries it; \
+             {turned}a slimmer nozzle (--am-tool) or a --tolerance above {tolerance} mm may leave less",
             deficit.count() as f64 * voxel
         ));
     }
