@@ -12,6 +12,8 @@ use crate::base::{DVec3, Direction};
 use crate::voxel::{BitGrid, Frame};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// How the part may be held through a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -84,10 +86,16 @@ pub struct Workholding {
 /// Spacing of table samples, mm: far below any head's radius, coarse enough to stay cheap.
 const TABLE_SAMPLE_MM: f64 = 2.0;
 
+/// Cells across the pedestal and layers of it whose points come together: points that are looked up by groups lie
+/// near each other.
+const TILE: usize = 16;
+const TILE_LAYERS: usize = 32;
+
 impl Workholding {
     /// Sample points of pedestal and table for a part whose base contact is `contact`.
     ///
-    /// The table is centred under the contact. Empty when nothing is in contact.
+    /// The table is centred under the contact. Points near each other mostly come near each other. Empty when nothing
+    /// is in contact.
     pub fn obstacle_points(
         &self,
         holding: &Holding,
@@ -119,14 +127,23 @@ impl Workholding {
             p + up * (holding.height_mm - up.dot(p))
         };
         let layers = (self.pedestal_mm / frame.pitch).ceil() as usize;
-        let mut points = Vec::new();
-        for &(a, b) in &cells {
+        let at_rim = |&(a, b): &(usize, usize)| {
             let (i, j) = (a as isize, b as isize);
-            let rim =
-                !(inside(i - 1, j) && inside(i + 1, j) && inside(i, j - 1) && inside(i, j + 1));
+            !(inside(i - 1, j) && inside(i + 1, j) && inside(i, j - 1) && inside(i, j + 1))
+        };
+        let mut tiles: BTreeMap<[usize; 2], Vec<(usize, usize)>> = BTreeMap::new();
+        cells.iter().for_each(|c| tiles.entry([c.1, c.0].map(|i| i / TILE)).or_default().push(*c));
+        let mut points = Vec::new();
+        let mut put = |(a, b): (usize, usize), layers: Range<usize>| {
             let top = on_plane(a, b);
-            for layer in 0..if rim { layers } else { 1 } {
-                points.push(top - up * (layer as f64 + 0.5) * frame.pitch);
+            points.extend(layers.map(|i| top - up * (i as f64 + 0.5) * frame.pitch));
+        };
+        for tile in tiles.values() {
+            let (rim, inner): (Vec<_>, Vec<_>) = tile.iter().copied().partition(at_rim);
+            inner.iter().for_each(|c| put(*c, 0..1));
+            rim.iter().for_each(|c| put(*c, 0..layers.min(1)));
+            for first in (1..layers).step_by(TILE_LAYERS) {
+                rim.iter().for_each(|c| put(*c, first..(first + TILE_LAYERS).min(layers)));
             }
         }
         let middle = cells.iter().map(|&(a, b)| on_plane(a, b)).sum::<DVec3>() / cells.len() as f64;
@@ -155,8 +172,11 @@ impl Workholding {
             Table::Box { x_mm, y_mm } => (x_mm / 2.0, y_mm / 2.0),
         };
         let steps = |half: f64| (half / TABLE_SAMPLE_MM).floor() as i64;
-        for i in -steps(half_s)..=steps(half_s) {
-            for j in -steps(half_t)..=steps(half_t) {
+        let [rows, columns] =
+            [half_s, half_t].map(|half| (-steps(half)..=steps(half)).collect::<Vec<_>>());
+        let tiles = rows.chunks(TILE).flat_map(|rows| columns.chunks(TILE).map(move |c| (rows, c)));
+        for (rows, columns) in tiles {
+            for (i, j) in rows.iter().flat_map(|i| columns.iter().map(move |j| (*i, *j))) {
                 let (a, b) = (i as f64 * TABLE_SAMPLE_MM, j as f64 * TABLE_SAMPLE_MM);
                 if matches!(self.table, Table::Disc { radius_mm } if a.hypot(b) > radius_mm) {
                     continue;
