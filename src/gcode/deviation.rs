@@ -120,8 +120,7 @@ pub fn deviation(
         &motions[from..motions.partition_point(|m| m.step <= i)]
     };
     let mut found = Deviation::default();
-    let mut sweeps: Vec<Option<Sweep>> = Vec::new();
-    let mut beads: Vec<Option<Beads>> = Vec::new();
+    let mut made: Vec<Made> = Vec::new();
     let mut end = job.initial.clone();
     for (i, step) in plan.steps.iter().enumerate() {
         ctx.check()?;
@@ -131,20 +130,20 @@ pub fn deviation(
             StepKind::Subtractive => {
                 end.subtract(&step.region);
                 let plane = step.direction.image_plane();
-                sweeps.push(Sweep::of(of_step(i), plane, tool, &job.target_mesh));
-                beads.push(None);
+                let sweep = Sweep::of(of_step(i), plane, tool, &job.target_mesh);
+                made.push(sweep.map_or(Made::Nothing, |s| Made::Cut(Box::new(s))));
             }
             StepKind::Additive => {
                 end.union_with(&step.region);
-                sweeps.push(None);
-                beads.push(Beads::of(of_step(i), step.direction, tool, job));
+                let beads = Beads::of(of_step(i), step.direction, tool, job);
+                made.push(beads.map_or(Made::Nothing, Made::Laid));
             }
         }
     }
     for (i, step) in plan.steps.iter().enumerate() {
         ctx.check()?;
         if let Some(tool) = job.tool(&step.tool).filter(|_| step.kind == StepKind::Additive) {
-            let out = outside(job, &sweeps[i..], of_step(i), (tool, step.direction));
+            let out = outside(job, &made[i..], of_step(i), (tool, step.direction));
             found.outside_mm = found.outside_mm.max(out);
         }
     }
@@ -158,8 +157,8 @@ pub fn deviation(
         triangles.flat_map(|t| facets(mesh.corners(t), side, |_| true)).collect();
     found.facets = facets
         .into_par_iter()
-        .filter_map(|corners| facet(corners, job, (plan, &end), &sweeps, stock))
-        .map(|f| if f.off_mm < -GOUGE_MM { filled(f, &sweeps, &beads) } else { f })
+        .filter_map(|corners| facet(corners, job, (plan, &end), &made, stock))
+        .map(|f| if f.off_mm < -GOUGE_MM { filled(f, &made) } else { f })
         .collect();
     ctx.check()?;
     let (mut machined, mut gouged, mut left, mut unreached) = (0.0, 0.0, 0.0, 0.0);
@@ -226,7 +225,7 @@ fn facet(
     corners: [DVec3; 3],
     job: &Job,
     (plan, end): (&Plan, &BitGrid),
-    sweeps: &[Option<Sweep>],
+    made: &[Made],
     stock: f64,
 ) -> Option<Facet> {
     let doubled = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
@@ -257,14 +256,14 @@ fn facet(
     let machined = steps.clone().any(|i| cuts(&i));
     let mut off = FAR_MM;
     for i in steps.clone() {
-        if let Some(sweep) = &sweeps[i] {
+        if let Some(sweep) = made[i].sweep() {
             off = sweep.distance(p, off);
         }
     }
     let off_mm = if machined || off < 0.0 { off } else { 0.0 };
     let mut reach_mm = 0.0;
     if machined && off > stock {
-        let ends = steps.filter(cuts).filter_map(|i| sweeps[i].as_ref());
+        let ends = steps.filter(cuts).filter_map(|i| made[i].sweep());
         reach_mm = ends.map(|s| s.reach.least(p, normal)).fold(FAR_MM, f64::min);
     }
     let area = doubled.length() / 2.0;
@@ -272,19 +271,36 @@ fn facet(
 }
 
 /// A gouged facet with what later steps lay on it: as deep as no bead comes nearer.
-fn filled(facet: Facet, sweeps: &[Option<Sweep>], beads: &[Option<Beads>]) -> Facet {
+fn filled(facet: Facet, made: &[Made]) -> Facet {
     let p = middle(facet.corners);
     let (mut depth, mut from) = (0.0f64, facet.from);
-    for i in facet.from..sweeps.len() {
-        if let Some(sweep) = &sweeps[i] {
-            depth = depth.max(-sweep.distance(p, FAR_MM));
-        }
-        if let Some(beads) = beads[i].as_ref().filter(|_| depth > GOUGE_MM) {
-            depth = depth.min(beads.distance(p, depth).max(0.0));
-            from = if depth > GOUGE_MM { from } else { i + 1 };
+    for (i, made) in made.iter().enumerate().skip(facet.from) {
+        match made {
+            Made::Cut(sweep) => depth = depth.max(-sweep.distance(p, FAR_MM)),
+            Made::Laid(beads) if depth > GOUGE_MM => {
+                depth = depth.min(beads.distance(p, depth).max(0.0));
+                from = if depth > GOUGE_MM { from } else { i + 1 };
+            }
+            Made::Laid(_) | Made::Nothing => {}
         }
     }
     Facet { off_mm: -depth, from, ..facet }
+}
+
+/// What one step makes of the part.
+enum Made {
+    Cut(Box<Sweep>),
+    Laid(Beads),
+    Nothing,
+}
+
+impl Made {
+    fn sweep(&self) -> Option<&Sweep> {
+        match self {
+            Made::Cut(sweep) => Some(sweep),
+            Made::Laid(_) | Made::Nothing => None,
+        }
+    }
 }
 
 /// What one step lays.
@@ -336,12 +352,7 @@ impl Sweep {
 }
 
 /// How far the outside of beads that no later cutter sweeps lies from the target, mm.
-fn outside(
-    job: &Job,
-    later: &[Option<Sweep>],
-    motions: &[Motion],
-    (tool, up): (&Tool, Direction),
-) -> f64 {
+fn outside(job: &Job, later: &[Made], motions: &[Motion], (tool, up): (&Tool, Direction)) -> f64 {
     let process = &tool.process;
     let (reach, half) = (4.0 * process.path_mm, process.path_mm / 2.0);
     let nearest = NearestTriangle::new(&job.target_mesh, reach);
@@ -355,7 +366,8 @@ fn outside(
             let away = nearest.query(middle).map_or(reach, |q| q.distance);
             let out = half + if within { -away } else { away };
             // Most beads are inside; what is swept takes longer to tell.
-            let is_cut = || later.iter().flatten().any(|s| s.distance(middle, FAR_MM) < 0.0);
+            let is_cut =
+                || later.iter().filter_map(Made::sweep).any(|s| s.distance(middle, FAR_MM) < 0.0);
             if out > worst && !is_cut() {
                 worst = out;
             }
