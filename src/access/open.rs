@@ -11,6 +11,7 @@ use super::Scene;
 use super::depth::{cutter_map_of_grid, nozzle_map_of_grid};
 use super::lattice::DepthMap;
 use super::tiles::Tiles;
+use super::wanted::FEW;
 use crate::base::{DVec3, Direction};
 use crate::machine::{Tool, ToolKind};
 use crate::voxel::{BitGrid, Frame};
@@ -27,10 +28,6 @@ const PARTS: [usize; 2] = [BLOCK / 2, BLOCK / 4];
 /// Cells of a tile along each axis, for blocks, for parts and for parts of these. Larger tiles tell
 /// less, smaller ones take longer to make.
 const TILES: [usize; 3] = [8, 4, 2];
-
-/// Voxels up to which each is asked singly: a look at each takes nanoseconds, to bound the G of all cells of a map
-/// up to a millisecond.
-const FEW: usize = 20_000;
 
 /// Margin in mm of the verdict on a cube: far above the rounding of f32 heights, far below a voxel.
 const MARGIN_MM: f32 = 1e-3;

@@ -5,8 +5,9 @@
 
 use crate::voxel::BitGrid;
 
-/// Voxels up to which they are listed: to look at each of so many takes less than what is made of a grid.
-const FEW: usize = 20_000;
+/// Voxels up to which they are listed and asked singly: a look at each takes nanoseconds, to bound the G of all cells
+/// of a map up to a millisecond.
+pub(super) const FEW: usize = 20_000;
 
 /// A set of voxels, and what is asked of it along every direction.
 pub struct Wanted<'a> {

@@ -178,9 +178,8 @@ fn highest(tool: &Tool, voxel: DVec3, rho: f64, slack: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::Replay;
-    use super::super::mill::Work;
     use super::super::near::voxels_near;
-    use super::super::tests::world;
+    use super::super::tests::{first_step, world};
     use super::*;
     use crate::base::DVec3;
     use crate::mesh::TriMesh;
@@ -202,8 +201,8 @@ mod tests {
         TriMesh::new(vertices, triangles).unwrap()
     }
 
-    /// A gap into which a cutter goes by the middles of voxels, but not by the mesh: from the places found it gouges either wall
-    /// no deeper than it must, which is half of what the gap is too narrow. Once it went as deep as it might.
+    /// A gap into which a cutter goes by the middles of voxels, but not by the mesh: from the places found it gouges
+    /// either wall no deeper than it must, which is half of what the gap is too narrow. Once it went as deep as it might.
     #[test]
     fn a_gap_too_narrow_is_gouged_no_deeper_than_it_must_be() {
         const GAP_MM: f64 = 2.94;
@@ -217,17 +216,8 @@ mod tests {
         let surfaces =
             [&w.job.target_mesh, &w.job.initial_mesh].map(|m| voxels_near(m, &w.job.frame));
         let tool = w.job.cutters.iter().find(|t| t.name == "ball-3x30").unwrap();
-        let work = Work {
-            job: &w.job,
-            frame: &w.job.frame,
-            step: &w.plan.steps[0],
-            tool,
-            before: &replay.states[0],
-            after: &replay.states[1],
-            fixed: &replay.fixed[0],
-            surfaces: &surfaces,
-            ctx: &Ctx::quiet(),
-        };
+        let ctx = Ctx::quiet();
+        let work = first_step(&w, &replay, &surfaces, tool, &ctx);
         let free = Free::around(&work, work.after, tool.active_radius());
         let exact = Exact::of(&work, &free).unwrap().unwrap();
         let lowest = exact.heights(&work, &free, 0.0, 0.0, 0.0).unwrap();

@@ -377,7 +377,7 @@ pub(super) fn steepness(lattice: &Lattice, bottom: &[f32]) -> Vec<f32> {
 mod tests {
     use super::super::Replay;
     use super::super::near::voxels_near;
-    use super::super::tests::pocket;
+    use super::super::tests::{first_step, pocket};
     use super::*;
     use crate::base::Ctx;
     use crate::voxel::surface;
@@ -393,17 +393,8 @@ mod tests {
         let meshes = [&w.job.target_mesh, &w.job.initial_mesh];
         let surfaces = meshes.map(|m| voxels_near(m, &frame));
         for tool in w.job.cutters.iter().filter(|t| End::of(t).is_some()) {
-            let work = Work {
-                job: &w.job,
-                frame: &frame,
-                step: &w.plan.steps[0],
-                tool,
-                before: &replay.states[0],
-                after: &replay.states[1],
-                fixed: &replay.fixed[0],
-                surfaces: &surfaces,
-                ctx: &Ctx::quiet(),
-            };
+            let ctx = Ctx::quiet();
+            let work = first_step(&w, &replay, &surfaces, tool, &ctx);
             let free = Free::around(&work, work.after, tool.active_radius());
             let exact = Exact::of(&work, &free).unwrap().unwrap();
             let lowest = exact.heights(&work, &free, 0.25, 0.25, 0.0).unwrap();

@@ -96,6 +96,27 @@ pub(crate) fn pocket(machine: &str) -> World {
     world(machine, 0.5, size, block, &[(StepKind::Subtractive, DVec3::Z, hole)])
 }
 
+/// A world's first step, to be made with `tool`.
+pub(super) fn first_step<'a>(
+    w: &'a World,
+    replay: &'a Replay,
+    surfaces: &'a [BitGrid; 2],
+    tool: &'a Tool,
+    ctx: &'a Ctx,
+) -> mill::Work<'a> {
+    mill::Work {
+        job: &w.job,
+        frame: &w.job.frame,
+        step: &w.plan.steps[0],
+        tool,
+        before: &replay.states[0],
+        after: &replay.states[1],
+        fixed: &replay.fixed[0],
+        surfaces,
+        ctx,
+    }
+}
+
 /// A block printed on a block.
 pub(crate) fn tower(machine: &str) -> World {
     let top: Part = |p| p.x > 6.0 && p.x < 18.0 && p.y > 5.0 && p.y < 15.0 && p.z < 17.0;

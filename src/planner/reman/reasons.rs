@@ -73,7 +73,8 @@ pub fn open_below(
         return Ok(BitGrid::new(excess.dims()));
     }
     let scene = Scene::new(frame, &coarse.most(kept), &[]);
-    let wanted = coarse.any(excess);
+    let any = coarse.any(excess);
+    let wanted = Wanted::of(&any);
     let mut directions = vec![Direction::NEG_Z];
     let sphere = fibonacci_sphere(2 * FROM_BELOW);
     directions.extend(sphere.into_iter().filter(|d| d.vec().z < 0.0));
@@ -81,8 +82,8 @@ pub fn open_below(
         .into_par_iter()
         .map(|d| {
             ctx.check()?;
-            let maps = cutter_maps(&scene, &Wanted::of(&wanted), setting.cutters(), d);
-            Ok(maps.iter().map(|m| reachable(m, &wanted, frame)).collect())
+            let maps = cutter_maps(&scene, &wanted, setting.cutters(), d);
+            Ok(maps.iter().map(|m| reachable(m, &any, frame)).collect())
         })
         .collect::<Result<_, Cancelled>>()?;
     let mut open = BitGrid::new(frame.dims);
