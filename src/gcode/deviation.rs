@@ -484,16 +484,6 @@ mod tests {
         deviation(&text, &w.job, &w.plan, &Ctx::quiet()).unwrap()
     }
 
-    fn joined(parts: &[TriMesh]) -> TriMesh {
-        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
-        for part in parts {
-            let shift = vertices.len() as u32;
-            vertices.extend(part.vertices());
-            triangles.extend(part.triangles().iter().map(|t| t.map(|v| v + shift)));
-        }
-        TriMesh::new(vertices, triangles).unwrap()
-    }
-
     /// What a cut leaves is not asked of a face that is laid on it later, nor of a bead that a later cut
     /// sweeps that it be near the target: both once counted as 2 mm off.
     #[test]
@@ -510,7 +500,7 @@ mod tests {
         ];
         let mut w = world("generic-5axis", 0.5, DVec3::new(24.0, 20.0, 14.0), block, &steps);
         let part = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
-        w.job.target_mesh = joined(&[
+        w.job.target_mesh = TriMesh::joined(&[
             part([2.0, 2.0, 0.0], [22.0, 18.0, 6.0]),
             part([2.0, 2.0, 6.0], [12.0, 18.0, 9.0]),
         ]);
@@ -568,7 +558,7 @@ mod tests {
             [(StepKind::Subtractive, DVec3::Z, beside), (StepKind::Subtractive, DVec3::X, slot)];
         let mut w = world("generic-5axis", 0.5, DVec3::new(24.0, 20.0, 14.0), block, &cuts);
         let part = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
-        w.job.target_mesh = joined(&[
+        w.job.target_mesh = TriMesh::joined(&[
             part([2.0, 2.0, 0.0], [22.0, 18.0, 4.0]),
             part([2.0, 2.0, 4.0], [12.4, 8.0, 12.0]),
             part([2.0, 12.0, 4.0], [12.4, 18.0, 12.0]),
@@ -607,7 +597,7 @@ mod tests {
         };
         let fin = TriMesh::new(fin.vertices().iter().map(back).collect(), fin.triangles().to_vec());
         let floor = TriMesh::cuboid(DVec3::new(2.0, 2.0, 0.0), DVec3::new(22.0, 18.0, 3.0));
-        w.job.target_mesh = joined(&[floor, fin.unwrap()]);
+        w.job.target_mesh = TriMesh::joined(&[floor, fin.unwrap()]);
         let d = measured(&w);
         assert!(d.gouge_mm <= GOUGE_MM, "{}", d.gouge_mm);
         assert!(d.left <= 0.002, "{} up to {}", d.left, d.excess_mm);
@@ -648,7 +638,7 @@ mod tests {
             let sides = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [0, 2, 1], [0, 3, 2]];
             parts.push(TriMesh::new(points, sides.to_vec()).unwrap());
         }
-        w.job.target_mesh = joined(&parts);
+        w.job.target_mesh = TriMesh::joined(&parts);
         let d = measured(&w);
         assert!(d.gouge_mm <= GOUGE_MM, "{}", d.gouge_mm);
     }

@@ -188,17 +188,11 @@ mod tests {
     /// Two walls on a floor, with a gap of so many mm between them along x.
     fn walls(gap: f64) -> TriMesh {
         let boxed = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
-        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
-        for part in [
+        TriMesh::joined(&[
             boxed([2.0, 2.0, 0.0], [22.0, 18.0, 5.0]),
             boxed([2.0, 2.0, 5.0], [22.0, 10.0 - gap / 2.0, 12.0]),
             boxed([2.0, 10.0 + gap / 2.0, 5.0], [22.0, 18.0, 12.0]),
-        ] {
-            let first = vertices.len() as u32;
-            vertices.extend_from_slice(part.vertices());
-            triangles.extend(part.triangles().iter().map(|t| t.map(|i| i + first)));
-        }
-        TriMesh::new(vertices, triangles).unwrap()
+        ])
     }
 
     /// A gap into which a cutter goes by the middles of voxels, but not by the mesh: from the places found it gouges

@@ -248,13 +248,8 @@ mod tests {
 
     /// Several boxes as one mesh.
     fn boxes(all: &[[DVec3; 2]]) -> TriMesh {
-        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
-        for [low, high] in all {
-            let (one, first) = (TriMesh::cuboid(*low, *high), vertices.len() as u32);
-            vertices.extend_from_slice(one.vertices());
-            triangles.extend(one.triangles().iter().map(|t| t.map(|i| i + first)));
-        }
-        TriMesh::new(vertices, triangles).unwrap()
+        let all: Vec<TriMesh> = all.iter().map(|[a, b]| TriMesh::cuboid(*a, *b)).collect();
+        TriMesh::joined(&all)
     }
 
     /// Two blocks with a gap of so many mm between them.
