@@ -8,7 +8,7 @@
 //! Guarantees: a tip is no lower than the lowest free one over the meshes, or with a nick goes no deeper into them, its edge holds no middle of a voxel that
 //! stays, moved to its cell, and comes within the slack of the one to cut, aside and below. Not guaranteed: that a gap with no more room than the places are apart is found.
 
-use super::exact::{Exact, Lowest};
+use super::exact::{Exact, Lowest, Nick};
 use super::mill::Free;
 use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
@@ -42,8 +42,8 @@ pub(super) struct Between<'a> {
     pub cell: f64,
     /// How far under the edge and beside it a voxel counts as cut, mm.
     pub slack: f64,
-    /// How deep the edge may go into the meshes, mm; less than its radius.
-    pub nick: f64,
+    /// How deep the edge may go, into the meshes less than its radius.
+    pub nick: Nick,
 }
 
 impl Between<'_> {
@@ -74,7 +74,7 @@ impl Between<'_> {
     /// The nearest of the places from which a voxel is met in its middle, or else within the slack; where the edge
     /// may go into the meshes, that from which it goes least deep.
     fn tip(&self, voxel: DVec3, places: &[DVec2]) -> Option<DVec3> {
-        if self.nick > 0.0 {
+        if self.nick.meshes > 0.0 {
             return self.shallowest(voxel, places);
         }
         let mut on = None;
@@ -93,7 +93,7 @@ impl Between<'_> {
         let mut on = None;
         // The place if it is better than the best so far.
         let mut better = |by: DVec2, best: Option<Found>| -> Option<Found> {
-            let mut nick = best.map_or(self.nick, |(_, nick, _)| nick - SHALLOWER_MM);
+            let mut nick = best.map_or(self.nick.meshes, |(_, nick, _)| nick - SHALLOWER_MM);
             let mut found = None;
             while nick >= 0.0
                 && let Some(tip) = self.tip_at((voxel, by), (slack, nick), &mut on)
@@ -131,6 +131,7 @@ impl Between<'_> {
         (slack, nick): (f64, f64),
         on: &mut Option<u32>,
     ) -> Option<DVec3> {
+        let nick = Nick { meshes: nick, ..self.nick };
         let at = voxel.truncate() + by;
         let most = highest(self.tool, voxel, by.length(), slack);
         let may =
@@ -215,14 +216,15 @@ mod tests {
         let free = Free::around(&work, work.after, tool.active_radius());
         let exact = Exact::of(&work, &free).unwrap().unwrap();
         let lowest = exact.heights(&work, &free, 0.0, 0.0, 0.0).unwrap();
-        let between = |nick: f64| Between {
+        let nick = |meshes: f64| Nick { meshes, passing: 0.0 };
+        let between = |deep: f64| Between {
             exact: &exact,
             lowest: &lowest,
             free: &free,
             tool,
             cell: free.window.s,
             slack: 0.25,
-            nick,
+            nick: nick(deep),
         };
         let inside: Vec<DVec3> =
             (8..40).map(|k| DVec3::new(f64::from(k) * 0.5 + 0.25, 10.25, 6.75)).collect();
@@ -231,10 +233,54 @@ mod tests {
         let tips = count(0.2);
         assert!(!tips.is_empty());
         for tip in tips {
-            let is_free = |nick: f64| {
-                exact.is_free_nicked(tip.truncate(), tip.z + 1e-6, nick, &lowest, &mut None)
+            let is_free = |deep: f64| {
+                exact.is_free_nicked(tip.truncate(), tip.z + 1e-6, nick(deep), &lowest, &mut None)
             };
             assert!(is_free(0.04) && !is_free(0.02), "{tip}");
+        }
+    }
+    /// Between a wall and what a later step cuts beside it a cutter has no room but past the middles of that one's
+    /// voxels; it leaves the wall whole.
+    #[test]
+    fn what_goes_later_is_nicked_before_the_target() {
+        const WALL_MM: f64 = 8.9;
+        let slot = |p: DVec3| p.y > WALL_MM && (p.y < 11.5 && p.z > 5.0 || p.z > 10.0);
+        let beyond = |p: DVec3| p.y > 11.5 && p.z > 5.0 && p.z < 10.0;
+        let block = |p: DVec3| p.x > 2.0 && p.x < 22.0 && (p.y - 10.0).abs() < 8.0 && p.z < 12.0;
+        let size = DVec3::new(24.0, 20.0, 14.0);
+        let cut = StepKind::Subtractive;
+        let steps = [(cut, DVec3::Z, slot as fn(DVec3) -> bool), (cut, DVec3::Z, beyond)];
+        let mut w = world("generic-5axis", 0.5, size, block, &steps);
+        let boxed = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
+        w.job.target_mesh = TriMesh::joined(&[
+            boxed([2.0, 2.0, 0.0], [22.0, 18.0, 5.0]),
+            boxed([2.0, 2.0, 5.0], [22.0, WALL_MM, 12.0]),
+        ]);
+        w.job.initial_mesh = boxed([2.0, 2.0, 0.0], [22.0, 18.0, 12.0]);
+        let replay = Replay::of(&w.job, &w.plan).unwrap();
+        let surfaces =
+            [&w.job.target_mesh, &w.job.initial_mesh].map(|m| voxels_near(m, &w.job.frame));
+        let tool = w.job.cutters.iter().find(|t| t.name == "ball-3x30").unwrap();
+        let ctx = Ctx::quiet();
+        let work = first_step(&w, &replay, &surfaces, tool, &ctx);
+        let free = Free::around(&work, work.after, tool.active_radius());
+        let stays = Free::around(&work, &work.after.and(&w.job.target), tool.active_radius());
+        let exact = Exact::of(&work, &free).unwrap().unwrap();
+        let lowest = exact.heights(&work, &free, 0.0, 0.0, 0.0).unwrap();
+        let beside_the_wall: Vec<DVec3> =
+            (10..38).map(|k| DVec3::new(f64::from(k) * 0.5 + 0.25, 9.25, 8.75)).collect();
+        let tips = |meshes: f64, passing: f64| {
+            let free = if passing > 0.0 { &stays } else { &free };
+            let nick = Nick { meshes, passing };
+            let (exact, lowest, cell) = (&exact, &lowest, free.window.s);
+            let between = Between { exact, lowest, free, tool, cell, slack: 0.25, nick };
+            between.tips(&beside_the_wall, &Ctx::quiet()).unwrap()
+        };
+        assert!(tips(0.045, 0.0).is_empty());
+        let found = tips(0.045, 0.25);
+        assert!(!found.is_empty());
+        for tip in found {
+            assert!(tip.y > WALL_MM + 1.5 - 0.046 && tip.y < 11.75 - 1.5 + 0.251, "{tip}");
         }
     }
 }

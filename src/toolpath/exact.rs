@@ -16,7 +16,6 @@ use super::near::NEAR_PITCH;
 use super::standing::standing;
 use crate::base::{Cancelled, DVec2, DVec3};
 use rayon::prelude::*;
-
 pub(super) struct Exact {
     end: End,
     drop: DropCutter,
@@ -40,6 +39,20 @@ pub(super) struct Lowest {
     guard: Image,
     /// How far the end keeps off faces that no mesh stands for, to the side and downward, mm.
     margin: [f64; 2],
+}
+
+/// How deep the edge may go, mm.
+#[derive(Clone, Copy)]
+pub(super) struct Nick {
+    /// Into the meshes.
+    pub meshes: f64,
+    /// Past the middles of voxels outside the target that later steps cut, where no mesh stands for them: none of
+    /// their surface is to be kept.
+    pub passing: f64,
+}
+
+impl Nick {
+    pub const NONE: Nick = Nick { meshes: 0.0, passing: 0.0 };
 }
 
 impl Lowest {
@@ -149,9 +162,10 @@ impl Exact {
     }
 
     /// Obstacles that no mesh stands for, and what an end grown by `margin` keeps off them: of what
-    /// passes only the centres have to stay, which are half a pitch inside.
-    fn bare_with(&self, half: f64, margin: [f64; 2]) -> [(&Image, [f64; 2]); 2] {
-        [(&self.faces, margin), (&self.passing, margin.map(|m| (m - half).max(0.0)))]
+    /// passes only the centres have to stay, which are half a pitch inside, but for a nick.
+    fn bare_with(&self, margin: [f64; 2], nick: f64) -> [(&Image, [f64; 2]); 2] {
+        let passing = margin.map(|m| (m - self.half).max(0.0) - nick);
+        [(&self.faces, margin), (&self.passing, passing)]
     }
 
     /// Raises tips to where the grown end is free of obstacles that no mesh stands for.
@@ -163,7 +177,7 @@ impl Exact {
         tips: &mut Image,
     ) -> Result<(), Cancelled> {
         let (edge, s) = (work.tool.active_radius(), free.window.s);
-        for (obstacles, [side, down]) in self.bare_with(self.half, margin) {
+        for (obstacles, [side, down]) in self.bare_with(margin, 0.0) {
             let end = Profile::new(|rho| work.tool.active_lower_surface(rho), edge, s, side, down);
             let bare = end.dilate(obstacles, free.window, free.highest(), work.ctx)?;
             tips.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
@@ -171,11 +185,11 @@ impl Exact {
         Ok(())
     }
 
-    /// Lowest tip anywhere at which the grown end is free of obstacles that no mesh stands for; of those above
-    /// `enough` any.
-    fn past(&self, at: DVec2, margin: [f64; 2], enough: f64) -> f64 {
+    /// Lowest tip anywhere at which the grown end is free of obstacles that no mesh stands for, but for a nick into
+    /// what passes; of those above `enough` any.
+    fn past(&self, at: DVec2, (margin, nick): ([f64; 2], f64), enough: f64) -> f64 {
         let mut lowest = f64::NEG_INFINITY;
-        for (image, [side, down]) in self.bare_with(self.half, margin) {
+        for (image, [side, down]) in self.bare_with(margin, nick) {
             let (l, radius) = (image.lattice, self.end.radius() - TOUCHING_MM);
             let (low, high) =
                 ((at - radius - side - l.origin) / l.s, (at + radius + side - l.origin) / l.s);
@@ -207,20 +221,21 @@ impl Exact {
     /// Lowest free tip anywhere within the lattice: over the meshes exact, over the voxels that of
     /// the highest cell around.
     pub fn lowest(&self, at: DVec2, of: &Lowest) -> f64 {
-        self.lowest_nicked(at, 0.0, of)
+        self.lowest_nicked(at, Nick::NONE, of)
     }
 
     /// The same where the end may go so deep into the meshes, mm, to all sides.
-    pub fn lowest_nicked(&self, at: DVec2, nick: f64, of: &Lowest) -> f64 {
+    pub fn lowest_nicked(&self, at: DVec2, nick: Nick, of: &Lowest) -> f64 {
         let Some([guard, bound]) = self.around(at, of) else { return f64::INFINITY };
-        let height = self.drop.height(self.end.inset(nick), at);
-        let resting = height.map_or(f64::NEG_INFINITY, |z| z - nick);
-        guard.max(resting.min(bound)).max(self.past(at, of.margin, f64::INFINITY))
+        let height = self.drop.height(self.end.inset(nick.meshes), at);
+        let resting = height.map_or(f64::NEG_INFINITY, |z| z - nick.meshes);
+        let past = self.past(at, (of.margin, nick.passing), f64::INFINITY);
+        guard.max(resting.min(bound)).max(past)
     }
 
     /// Whether [`Exact::lowest`] is at most `z`, told sooner; `on` as for [`DropCutter::rests_over`].
     pub fn is_free(&self, at: DVec2, z: f64, of: &Lowest, on: &mut Option<u32>) -> bool {
-        self.is_free_nicked(at, z, 0.0, of, on)
+        self.is_free_nicked(at, z, Nick::NONE, of, on)
     }
 
     /// Whether [`Exact::lowest_nicked`] is at most `z`, told sooner.
@@ -228,14 +243,15 @@ impl Exact {
         &self,
         at: DVec2,
         z: f64,
-        nick: f64,
+        nick: Nick,
         of: &Lowest,
         on: &mut Option<u32>,
     ) -> bool {
         let Some([guard, bound]) = self.around(at, of) else { return z == f64::INFINITY };
-        let rests =
-            |on: &mut Option<u32>| self.drop.rests_over(self.end.inset(nick), at, z + nick, on);
-        guard <= z && (bound <= z || !rests(on)) && self.past(at, of.margin, z) <= z
+        let (end, deep) = (self.end.inset(nick.meshes), nick.meshes);
+        let rests = |on: &mut Option<u32>| self.drop.rests_over(end, at, z + deep, on);
+        let past = || self.past(at, (of.margin, nick.passing), z);
+        guard <= z && (bound <= z || !rests(on)) && past() <= z
     }
 
     /// A height under which shank and holder let no tip within `reach` of a place, across.

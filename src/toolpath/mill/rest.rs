@@ -3,7 +3,8 @@
 //! Method: the voxels are listed that no tip came within half a voxel of with its edge, aside and below, as
 //! the program's check asks it; whatever then cuts some takes them off the list. First go the lattice's tips without
 //! margin, over the meshes where the job has them, then tips between its cells. What the meshes leave no room for,
-//! the voxels may, which is what the plan was made on: see [`Stage::for_a_gouge`]. A few voxels of a small
+//! the voxels may, which is what the plan was made on: see [`Stage::for_a_gouge`]; what later steps cut is entered by
+//! half a pitch before the target is nicked deeper. A few voxels of a small
 //! region each get a tip by exact distances.
 //!
 //! Guarantees: what is off the list was cut, by tips a quarter of a voxel apart on its way. Not guaranteed: an
@@ -12,13 +13,15 @@
 use super::super::between::{Between, cuts};
 use super::super::cells::Cells;
 use super::super::close_tip::Stays;
+use super::super::exact::Nick;
 use super::super::image::{Image, Lattice, Profile};
 use super::super::moves::{Move, MoveKind};
 use super::super::touch::{Touch, bounds};
-use super::{FAR_CELLS, SAME_HEIGHT_MM, Stage, within};
+use super::{FAR_CELLS, Free, SAME_HEIGHT_MM, Stage, within};
 use crate::base::{Cancelled, Ctx, DVec3};
 use crate::machine::Tool;
 use rayon::prelude::*;
+use std::cell::OnceCell;
 use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Share of the region that must be swept: a little more than the program's check asks for.
@@ -40,6 +43,11 @@ const NICK_MM: f64 = 0.045;
 
 /// Where that is not enough, ever deeper: in a gap as wide as its cutter a tenth is mostly too little for a cell's tip.
 const NICKS_MM: [f64; 4] = [NICK_MM, 0.08, 0.12, 0.2];
+
+/// How far a cutter may pass the middles of voxels that go later before it nicks the target deeper, in pitches and as
+/// a share of what the program's check lets it.
+const PASSING_PITCH: f64 = 0.5;
+const PASSING_SHARE: f64 = 0.8;
 
 /// Tips on a way are looked at so far apart, in pitches.
 const APART_PITCH: f64 = 0.5;
@@ -65,7 +73,7 @@ impl Stage<'_> {
         self.cut_over(&mut left, &exact)?;
         counts.push(left.voxels.len());
         if self.meshes.is_some() {
-            self.between_cells(&mut left, 0.0)?;
+            self.between_cells(&mut left, Nick::NONE)?;
             counts.push(left.voxels.len());
             self.for_a_gouge(&mut left, &exact)?;
             counts.push(left.voxels.len());
@@ -88,12 +96,19 @@ impl Stage<'_> {
 
     /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any that go no
     /// deeper than a nick into the meshes.
-    fn between_cells(&mut self, left: &mut Left, nick: f64) -> Result<(), Cancelled> {
+    fn between_cells(&mut self, left: &mut Left, nick: Nick) -> Result<(), Cancelled> {
         let Some(exact) = self.meshes.as_ref().filter(|_| !left.voxels.is_empty()) else {
             return Ok(());
         };
         let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
-        let (free, tool) = (&self.free, work.tool);
+        let (tool, stays) = (work.tool, OnceCell::new());
+        let free = match nick.passing > 0.0 {
+            // What passes is among the obstacles that the meshes are asked besides, nicked.
+            true => stays.get_or_init(|| {
+                Free::around(work, &work.after.and(&work.job.target), tool.active_radius())
+            }),
+            false => &self.free,
+        };
         let between = Between { exact, lowest, free, tool, cell, slack: left.slack, nick };
         let tips = between.tips(&left.voxels, work.ctx)?;
         let touch = Touch { work, exact, lowest, stock: self.process.stock };
@@ -146,10 +161,16 @@ impl Stage<'_> {
         Ok(())
     }
 
-    /// How deep a tip between the cells may go into the meshes, mm, the least first; no more than half its radius.
-    fn nicks(&self) -> impl Iterator<Item = f64> + use<> {
+    /// How deep a tip between the cells may go, the least first; no deeper into the meshes than half its radius.
+    fn nicks(&self) -> impl Iterator<Item = Nick> + use<> {
+        let (h, tolerance) = (self.work.frame.pitch, self.work.job.rules.tolerance_mm);
+        let checked = PASSING_SHARE * FRAC_1_SQRT_2 * (tolerance - h / 2.0);
+        let passing = (PASSING_PITCH * h).min(checked).max(0.0);
         let most = self.work.tool.active_radius() / 2.0;
-        NICKS_MM.into_iter().filter(move |nick| *nick <= most)
+        let alone = Nick { meshes: NICK_MM, passing: 0.0 };
+        let nicks = NICKS_MM.into_iter().map(move |meshes| Nick { meshes, passing });
+        let alone = (passing > 0.0).then_some(alone);
+        alone.into_iter().chain(nicks).filter(move |nick| nick.meshes <= most)
     }
 
     /// Cuts each of the last voxels from a tip of its own.
