@@ -1,32 +1,27 @@
 //! Fitting: where a cutter has no room beside the surfaces for a cut, a slimmer one makes it.
 //!
-//! Method. By the middles of voxels a cutter fits into gaps that its surfaces are too near each other for: up to
-//! a voxel narrower than it, and whatever it cuts there it gouges one side or the other. Of each cut by a ball end
-//! of radius r, what a cutter half a voxel wider does not reach beside the target is looked at on the target's
-//! mesh: a voxel is crowded where nowhere around it, r and half a voxel off, is a place for the ball's middle that
-//! keeps it and the edge over it r from the surface, looked for by going away from the nearest of it again and again.
+//! Method. Of each cut by a ball end what a cutter half a voxel wider does not reach beside the target is looked at on
+//! the target's mesh; what has no room there is crowded (see `room`).
 //! What of the crowded a slimmer ball end reaches and has room for is left to it, along the same direction and as held
 //! for it. Of a tapered edge's cut what a wider one does not reach counts as crowded, of a small cut all of it.
 //! What neither can make of the cut before the other is done is its own cutter's again, and where little has to be
 //! given back to that one for it, cut with the rest.
 //!
 //! Guarantees: those of cuts; the state after each of the plan's own cuts is what it was, and so are its directions
-//! and holdings. Not guaranteed: that there is such a cutter, or that it is long enough; that a place is found where
-//! there is one, for voxels are looked at two by two by two, and steps may miss it: a cut is then divided in vain.
+//! and holdings. Not guaranteed: that there is such a cutter, or that it is long enough; where a place is missed, a cut
+//! is divided in vain.
 
 use super::Run;
 use super::cutting::held_part;
+use super::room::Room;
 use super::roughing::{Before, divided, with_room};
 use super::round::Attempt;
 use crate::access::over_cut;
 use crate::base::{DVec3, Direction};
 use crate::machine::Tool;
-use crate::mesh::{NearestTriangle, SurfacePoint};
-use crate::plan::{Job, Step};
+use crate::plan::Step;
 use crate::planner::PlanError;
 use crate::voxel::{BitGrid, Frame};
-use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// What is crowded is worth another cutter from this volume, mm³, and so many voxels on: what lies in creases is
 /// less. A cutter's side gouges all along its way to a single voxel.
@@ -47,28 +42,22 @@ const NEARLY: f64 = 0.98;
 /// Of a tapered edge's cut that is no more than so many times what a wider one does not reach, all is crowded.
 const SMALL: usize = 3;
 
-/// How near to a surface its radius may bring a cutter, mm: what counts as a gouge.
-const GOUGE_MM: f64 = 0.05;
-
-/// Along an edge the surface is asked for so many radii apart.
-const APART: f64 = 1.5;
-
-/// Steps away from the nearest of the surface, the first [`FULL_STEPS`] as far as there is to go, each of the others
-/// by 0.7 of the one before.
-const STEPS: i32 = 16;
-const FULL_STEPS: i32 = 4;
-
 /// The plan with what its cutters have no room for cut by slimmer ones.
-pub fn fitted(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
+pub fn fitted(run: &mut Run, room: &Room, attempt: Attempt) -> Result<Attempt, PlanError> {
     divided(run, attempt, |run, before, step| {
-        let parts = if run.ctx.out_of_time() { None } else { by_room(run, before, step)? };
+        let parts = if run.ctx.out_of_time() { None } else { by_room(run, room, before, step)? };
         Ok(parts.unwrap_or_else(|| vec![step.clone()]))
     })
 }
 
 /// A cut as two or three: what its cutter has room for, what a slimmer one takes, what is left of it then. None
 /// where no other cutter helps.
-fn by_room(run: &Run, before: Before, step: &Step) -> Result<Option<Vec<Step>>, PlanError> {
+fn by_room(
+    run: &Run,
+    room: &Room,
+    before: Before,
+    step: &Step,
+) -> Result<Option<Vec<Step>>, PlanError> {
     let (setting, coarse) = (run.start.setting, run.start.coarse);
     let (job, Before { state, fixed }) = (setting.job, before);
     let least = ((LEAST_MM3 / job.frame.voxel_volume()).ceil() as usize).max(LEAST_VOXELS);
@@ -79,8 +68,8 @@ fn by_room(run: &Run, before: Before, step: &Step) -> Result<Option<Vec<Step>>, 
         return Ok(None);
     }
     run.ctx.check()?;
-    let room = with_room(job, state, &step.region, fixed, (own, step.direction));
-    let tight = step.region.minus(&room);
+    let open = with_room(job, state, &step.region, fixed, (own, step.direction));
+    let tight = step.region.minus(&open);
     if tight.count() < least {
         return Ok(None);
     }
@@ -88,7 +77,7 @@ fn by_room(run: &Run, before: Before, step: &Step) -> Result<Option<Vec<Step>>, 
     let crowded = match own.is_tapered() {
         true if step.region.count() <= SMALL * tight.count() => step.region.clone(),
         true => tight.clone(),
-        false => tight.minus(&roomy(job, &tight, (own, step.direction))),
+        false => tight.minus(&room.of_those(&tight, (own, step.direction))),
     };
     if crowded.count() < least {
         return Ok(None);
@@ -98,7 +87,7 @@ fn by_room(run: &Run, before: Before, step: &Step) -> Result<Option<Vec<Step>>, 
     let mut best: Option<(&Tool, BitGrid)> = None;
     for tool in slimmer {
         let cut = over_cut(&job.frame, &before, &crowded, fixed, tool, step.direction).region;
-        let its = roomy(job, &cut, (tool, step.direction));
+        let its = room.of_those(&cut, (tool, step.direction));
         let is_enough = its.count() as f64 >= NEARLY * crowded.count() as f64;
         let most = best.as_ref().map_or(0, |(_, b)| b.count());
         if is_enough || its.count() as f64 * NEARLY > most as f64 {
@@ -158,7 +147,7 @@ fn by_room(run: &Run, before: Before, step: &Step) -> Result<Option<Vec<Step>>, 
 }
 
 /// Those of some voxels that lie over others, or beside what does by so many radii of a cutter.
-fn over(
+pub(super) fn over(
     frame: &Frame,
     some: &BitGrid,
     others: &BitGrid,
@@ -181,61 +170,6 @@ fn over(
     over
 }
 
-/// Those of some voxels around which a ball end and its edge over that have room beside the target's surface.
-fn roomy(job: &Job, some: &BitGrid, (tool, direction): (&Tool, Direction)) -> BitGrid {
-    let (frame, radius) = (&job.frame, tool.active_radius());
-    let surface = NearestTriangle::new(&job.target_mesh, radius);
-    let edge = Edge { radius, axis: direction.vec(), length: tool.active_length() - radius };
-    // Voxels two by two by two have room or not together.
-    let mut groups: BTreeMap<[usize; 3], Vec<[usize; 3]>> = BTreeMap::new();
-    some.iter_ones().for_each(|v| groups.entry(v.map(|c| c / 2)).or_default().push(v));
-    let groups: Vec<Vec<[usize; 3]>> = groups.into_values().collect();
-    let has = |g: &Vec<[usize; 3]>| edge.has_room(&surface, frame.center(g[0]), frame.pitch / 2.0);
-    let open: Vec<bool> = groups.par_iter().map(has).collect();
-    let mut roomy = BitGrid::new(some.dims());
-    let of_open = groups.into_iter().zip(open).filter(|(_, open)| *open);
-    of_open.flat_map(|(g, _)| g).for_each(|v| roomy.set(v, true));
-    roomy
-}
-
-/// A ball end and the cylinder over it.
-struct Edge {
-    radius: f64,
-    /// From the ball's middle up.
-    axis: DVec3,
-    /// So far the cylinder goes up from there, mm.
-    length: f64,
-}
-
-impl Edge {
-    /// Whether it keeps off a surface somewhere where its ball touches what lies within `beside` of a point.
-    fn has_room(&self, surface: &NearestTriangle, p: DVec3, beside: f64) -> bool {
-        let mut middle = p;
-        for k in 0..STEPS {
-            let apart = APART * self.radius;
-            let along = (0..).map(|i| f64::from(i) * apart).take_while(|s| *s <= self.length);
-            let nearest = along.fold(None, |nearest: Option<(f64, SurfacePoint)>, s| {
-                let most = nearest.map_or(f64::INFINITY, |n| n.1.distance);
-                surface.nearer(middle + self.axis * s, most).map(|n| (s, n)).or(nearest)
-            });
-            let Some((s, near)) = nearest else { return true };
-            if near.distance >= self.radius - GOUGE_MM {
-                return true;
-            }
-            let mut away = middle + self.axis * s - near.point;
-            if s > 0.0 {
-                away -= self.axis * away.dot(self.axis);
-            }
-            let away = away.try_normalize().unwrap_or(near.normal);
-            // Between two walls whole steps would go to and fro.
-            let share = 0.7f64.powi((k - FULL_STEPS).max(0));
-            middle += away * ((self.radius - near.distance) * share);
-            middle = p + (middle - p).clamp_length_max(self.radius + beside);
-        }
-        false
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::local_tests::{job_of, with_run};
@@ -250,12 +184,6 @@ mod tests {
     fn boxes(all: &[[DVec3; 2]]) -> TriMesh {
         let all: Vec<TriMesh> = all.iter().map(|[a, b]| TriMesh::cuboid(*a, *b)).collect();
         TriMesh::joined(&all)
-    }
-
-    /// Two blocks with a gap of so many mm between them.
-    fn gap(width: f64) -> TriMesh {
-        let block = |z: f64| [DVec3::new(0.0, 0.0, z), DVec3::new(9.0, 9.0, z + 3.0)];
-        boxes(&[block(0.0), block(3.0 + width)])
     }
 
     /// A slot of 1.2 mm between two blocks, joined behind it: a cutter of 1.4 mm fits by the voxels, and leaves
@@ -289,7 +217,12 @@ mod tests {
                     origin: Origin { plane: None, action: Some(Action::OC) },
                 };
                 let before = Before { state: &job.initial, fixed: &fixed };
-                (by_room(run, before, &step).unwrap().unwrap_or_else(|| vec![step]), region)
+                (
+                    by_room(run, &Room::of(&job), before, &step)
+                        .unwrap()
+                        .unwrap_or_else(|| vec![step]),
+                    region,
+                )
             });
             assert!(region.count() > 1000, "{width}: {}", region.count());
             let mut all = BitGrid::new(region.dims());
@@ -301,23 +234,6 @@ mod tests {
                 .map(|s| s.tool.as_str())
                 .collect();
             assert_eq!(named, tools, "{width}");
-        }
-    }
-
-    #[test]
-    fn a_gap_has_room_for_what_is_narrower_than_it() {
-        for width in [1.15, 1.35, 2.05] {
-            let mesh = gap(width);
-            let surface = NearestTriangle::new(&mesh, 1.5);
-            for k in 1..10 {
-                let p = DVec3::new(4.5, 4.0, 3.0 + width * f64::from(k) / 10.0);
-                for radius in [0.5, 0.7, 1.0, 1.5] {
-                    let fits = 2.0 * (radius - GOUGE_MM) <= width;
-                    let edge = Edge { radius, axis: DVec3::NEG_X, length: 20.0 };
-                    let found = edge.has_room(&surface, p, 0.1);
-                    assert!(found == fits, "{width} {k} {radius}");
-                }
-            }
         }
     }
 
@@ -341,28 +257,6 @@ mod tests {
                 };
                 assert_eq!(found, BitGrid::from_fn(frame.dims, is_over), "{direction:?} {radii}");
             }
-        }
-    }
-
-    /// Before a gap there is room for the ball, not for the edge that has to go through it.
-    #[test]
-    fn the_edge_needs_room_too() {
-        let mesh = gap(1.15);
-        let surface = NearestTriangle::new(&mesh, 1.5);
-        let p = DVec3::new(9.6, 4.5, 3.6);
-        let edge = |axis| Edge { radius: 0.7, axis, length: 20.0 };
-        assert!(edge(DVec3::X).has_room(&surface, p, 0.1));
-        assert!(!edge(DVec3::NEG_X).has_room(&surface, p, 0.1));
-    }
-
-    /// Beside a wall, on a floor and in the open there is.
-    #[test]
-    fn a_face_alone_leaves_room() {
-        let mesh = gap(50.0);
-        let surface = NearestTriangle::new(&mesh, 1.5);
-        for p in [DVec3::new(4.0, 4.0, 3.01), DVec3::new(-0.05, 4.0, 1.0), DVec3::splat(-9.0)] {
-            let edge = Edge { radius: 1.5, axis: DVec3::Z, length: 20.0 };
-            assert!(edge.has_room(&surface, p, 0.1), "{p}");
         }
     }
 }

@@ -42,7 +42,8 @@
 //! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`). Where planes
 //!   give up much, all is planned that way with nothing given up at first (`keeping`); where that turns out well,
 //!   no plan under planes is made.
-//! - What a cutter has no room for beside the surfaces is left to a slimmer one (`fitting`).
+//! - What a cutter has no room for beside the surfaces (`room`) is left to a slimmer one (`fitting`) or cut
+//!   along another direction (`tilting`).
 //! - A long cut by a slender cutter is roughed with a stouter one first (`roughing`).
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
@@ -92,10 +93,12 @@ mod reach;
 mod reasons;
 mod refine;
 mod report;
+mod room;
 mod roughing;
 mod round;
 mod setting;
 mod supports;
+mod tilting;
 #[cfg(test)]
 mod supports_tests;
 
@@ -124,11 +127,13 @@ use pits::with_pits;
 use printed_first::{Leaves, glimpse, printed_first};
 use report::Clock;
 pub use report::Report;
+use room::Room;
 use roughing::roughed;
 pub use round::COMPLETION_SHARE;
 use round::{Attempt, RESIDUAL_WEIGHT, deep, volumes};
 use setting::Setting;
 use std::cmp::Ordering;
+use tilting::tilted;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -407,7 +412,9 @@ fn one_round(
         }
     };
     best = roughed(&mut run, best)?;
-    best = fitted(&mut run, best)?;
+    let room = Room::of(job);
+    best = fitted(&mut run, &room, best)?;
+    best = tilted(&mut run, &room, best)?;
     run.report.note_supports(job, aside, why);
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();

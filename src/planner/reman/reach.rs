@@ -54,7 +54,7 @@ impl Bound {
     }
 
     /// Voxels of it that a grid has too, whose words these are.
-    fn count_and(&self, grid: &[u64]) -> usize {
+    pub fn count_and(&self, grid: &[u64]) -> usize {
         let both = |(i, word): &(u32, u64)| word & grid.get(*i as usize).copied().unwrap_or(0);
         self.words.iter().map(|w| both(w).count_ones() as usize).sum()
     }
