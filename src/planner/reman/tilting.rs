@@ -8,7 +8,7 @@
 //!
 //! Guarantees: those of cuts: each cut between that and the one to which it is left is asked again while it stands, and
 //! what it does not reach then goes with it. The state after the run is what it was. Not guaranteed: that there is
-//! such a direction; that all that goes with the crowded has room, of which a quarter as many as those may have none.
+//! such a direction; that all cuts are looked at where there are many; that all that goes with the crowded has room, of which a quarter as many as those may have none.
 
 use super::Run;
 use super::cutting::held_part;
@@ -24,6 +24,7 @@ use crate::plan::{Action, Origin, Step, StepKind};
 use crate::planner::PlanError;
 use crate::region::steady;
 use crate::voxel::BitGrid;
+use std::cell::Cell;
 use std::cmp::Reverse;
 
 /// Paths may leave two percent of a cut: so much of it is no reason to cut it otherwise.
@@ -44,23 +45,40 @@ const MOST_BEHIND: usize = 1000;
 /// What lies over what is out of a later cut's reach, and so many radii beside that, stays with its own cut.
 const BESIDE_RADII: [f64; 2] = [1.0, 2.0];
 
-/// Cuts along directions of their own that are tried for the crowded of one.
+/// Later cuts are asked so far ahead.
+const AHEAD: usize = 16;
+
+/// Those farther than this are asked by themselves before all between.
+const FAR: usize = 2;
+
+/// Of those so many are tried for the crowded of one cut, and so many along directions of their own.
+const MOST_HOMES: usize = 6;
 const MOST_TRIES: usize = 3;
+
+/// So many cuts are made again at most, where a search of directions counts as [`SEARCH`]: a bracket of
+/// hundreds of small cuts would take as long as its plan.
+const MOST_MADE: usize = 400;
+const SEARCH: usize = 10;
 
 /// Cuts of so few voxels are asked by exact distances where maps say no.
 const MOST_CLOSELY: usize = 300;
 
-/// The plan with what its cutters have no room for cut along other directions.
+/// The plan with what its cutters have no room for cut along other directions; one that the rules refuse as it is, since
+/// no paths are made of it.
 pub fn tilted(run: &mut Run, room: &Room, attempt: Attempt) -> Result<Attempt, PlanError> {
     let setting = run.start.setting;
+    if !attempt.is_valid(setting.job) {
+        return Ok(attempt);
+    }
     let mut state = setting.job.initial.clone();
     let (mut steps, mut cuts, mut at): (Vec<Step>, usize, usize) = (Vec::new(), 0, 0);
+    let made_again = Cell::new(0);
     let turns = attempt.steps.chunk_by(|a, b| (a.kind, a.holding) == (b.kind, b.holding));
     for turn in turns {
         let mut made = turn.to_vec();
         if turn[0].kind == StepKind::Subtractive {
             let fixed = setting.fixed(turn[0].holding, &state);
-            let turn = Turn { run, room, fixed: &fixed };
+            let turn = Turn { run, room, fixed: &fixed, made_again: &made_again };
             made = turn.tilted(&state, made)?;
         }
         for step in &made {
@@ -101,6 +119,8 @@ struct Turn<'r, 'a> {
     run: &'r Run<'a>,
     room: &'r Room<'a>,
     fixed: &'r [DVec3],
+    /// Cuts made again so far.
+    made_again: &'r Cell<usize>,
 }
 
 impl<'a> Turn<'_, 'a> {
@@ -109,7 +129,7 @@ impl<'a> Turn<'_, 'a> {
         let mut i = 0;
         while i < steps.len() {
             self.run.ctx.check()?;
-            if !self.run.ctx.out_of_time() {
+            if !self.run.ctx.out_of_time() && self.made_again.get() < MOST_MADE {
                 let crowded = self.crowded(&state, &steps[i]);
                 if is_too_much(&crowded, &steps[i]) {
                     let left = self.left_to_later(&state, &mut steps[i..], crowded)?;
@@ -147,22 +167,23 @@ impl<'a> Turn<'_, 'a> {
         mut crowded: BitGrid,
     ) -> Result<BitGrid, PlanError> {
         let mut homes: Vec<(usize, BitGrid)> = Vec::new();
-        for (j, step) in steps.iter().enumerate().skip(1) {
+        for (j, step) in steps.iter().enumerate().skip(1).take(AHEAD) {
             self.run.ctx.check()?;
             if let Some(tool) = self.tool(step) {
                 homes.push((j, self.room.of_those(&crowded, (tool, step.direction))));
             }
         }
-        loop {
+        for _ in 0..MOST_HOMES {
             homes.iter_mut().for_each(|(_, its)| its.intersect_with(&crowded));
             homes.retain(|(_, its)| !its.is_empty());
-            let most = homes.iter().enumerate().max_by_key(|(k, h)| (h.1.count(), usize::MAX - k));
-            let Some(next) = most.map(|(k, _)| k) else { return Ok(crowded) };
+            let most = homes.iter().enumerate().max_by_key(|(_, h)| (h.1.count(), Reverse(h.0)));
+            let Some(next) = most.map(|(k, _)| k) else { break };
             let (j, its) = homes.swap_remove(next);
             if let Some(taken) = self.left_to(state, &mut steps[..=j], its)? {
                 crowded.subtract(&taken);
             }
         }
+        Ok(crowded)
     }
 
     /// Leaves some voxels of the first of some cuts to the last, and with them what those before the last do not
@@ -177,6 +198,17 @@ impl<'a> Turn<'_, 'a> {
         let last = steps.len() - 1;
         let Some(first) = self.tool(&steps[0]) else { return Ok(None) };
         let way = (first, steps[0].direction);
+        if last > FAR {
+            // With nothing else left standing it is soon told that the last one does not get at them.
+            let mut before = state.clone();
+            steps[..last].iter().for_each(|s| before.subtract(&s.region));
+            before.union_with(&its);
+            let region = steps[last].region.or(&its);
+            let missed = region.minus(&self.made(&before, &steps[last], &region));
+            if STILL_CROWDED * missed.count() > its.count() {
+                return Ok(None);
+            }
+        }
         for radii in BESIDE_RADII.map(Some).into_iter().chain([None]) {
             let Some(made) = self.while_standing(state, &steps[..last], &its)? else { break };
             let Standing { mut new, state: before, taken } = made;
@@ -243,6 +275,7 @@ impl<'a> Turn<'_, 'a> {
         let own = self.tool(step).map_or(0.0, Tool::tip_radius);
         let is_slim = |t: &&Tool| t.tip_radius() <= own && (t.has_ball_end() || t.is_tapered());
         let slim: Vec<Tool> = job.cutters.iter().filter(is_slim).cloned().collect();
+        self.count(SEARCH);
         let mut ways = bounds(&scene, &crowded, &slim, &directions, self.run.ctx)?;
         let mut cuts = vec![step.clone()];
         for _ in 0..MOST_TRIES {
@@ -297,6 +330,10 @@ impl<'a> Turn<'_, 'a> {
         best.map(|(i, its)| (ways.remove(i), its))
     }
 
+    fn count(&self, made: usize) {
+        self.made_again.set(self.made_again.get() + made);
+    }
+
     /// What of a region a step's cutter takes away along its direction.
     fn made(&self, state: &BitGrid, step: &Step, region: &BitGrid) -> BitGrid {
         let (setting, coarse) = (self.run.start.setting, self.run.start.coarse);
@@ -306,6 +343,7 @@ impl<'a> Turn<'_, 'a> {
         if region.is_empty() {
             return region.clone();
         }
+        self.count(1);
         let way = (tool, step.direction);
         let by_maps = held_part(setting, coarse, (state, region), self.fixed, way);
         if by_maps == *region || region.count() > MOST_CLOSELY {
@@ -362,7 +400,8 @@ mod tests {
         with_run(job, |run| {
             let room = Room::of(job);
             let fixed = run.start.setting.fixed(0, &job.initial);
-            let turn = Turn { run, room: &room, fixed: &fixed };
+            let made_again = Cell::new(0);
+            let turn = Turn { run, room: &room, fixed: &fixed, made_again: &made_again };
             let mut state = job.initial.clone();
             let mut steps = Vec::new();
             for direction in along {
