@@ -239,6 +239,7 @@ mod tests {
             assert!(is_free(0.04) && !is_free(0.02), "{tip}");
         }
     }
+
     /// Between a wall and what a later step cuts beside it a cutter has no room but past the middles of that one's
     /// voxels; it leaves the wall whole.
     #[test]

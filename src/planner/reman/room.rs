@@ -42,6 +42,11 @@ impl<'a> Room<'a> {
         Room { frame: &job.frame, surface: NearestTriangle::new(&job.target_mesh, widest) }
     }
 
+    /// Whether it is known where a cutter has room: one with a ball end, tapered or not.
+    pub fn is_told_of(tool: &Tool) -> bool {
+        tool.has_ball_end() || tool.is_tapered()
+    }
+
     /// Those of some voxels around which a cutter with a ball end has room along a direction; all of them for
     /// another cutter, of which this is not known.
     pub fn of_those(&self, some: &BitGrid, (tool, direction): (&Tool, Direction)) -> BitGrid {
@@ -75,8 +80,7 @@ impl Edge {
     fn of(tool: &Tool, direction: Direction) -> Option<Edge> {
         let radii = [tool.tip_radius(), tool.active_radius()];
         let length = tool.active_length() - radii[0];
-        let has_ball = tool.has_ball_end() || tool.is_tapered();
-        has_ball.then(|| Edge { radii, axis: direction.vec(), length })
+        Room::is_told_of(tool).then(|| Edge { radii, axis: direction.vec(), length })
     }
 
     fn radius_at(&self, s: f64) -> f64 {

@@ -8,7 +8,8 @@
 //!
 //! Guarantees: those of cuts: each cut between that and the one to which it is left is asked again while it stands, and
 //! what it does not reach then goes with it. The state after the run is what it was. Not guaranteed: that there is
-//! such a direction; that all cuts are looked at where there are many; that all that goes with the crowded has room, of which a quarter as many as those may have none.
+//! such a direction; that all cuts are looked at where there are many; that all that goes with the crowded has room:
+//! of it a quarter as many as those may have none.
 
 use super::Run;
 use super::cutting::held_part;
@@ -48,12 +49,12 @@ const BESIDE_RADII: [f64; 2] = [1.0, 2.0];
 /// Later cuts are asked so far ahead.
 const AHEAD: usize = 16;
 
-/// Those farther than this are asked by themselves before all between.
-const FAR: usize = 2;
-
 /// Of those so many are tried for the crowded of one cut, and so many along directions of their own.
 const MOST_HOMES: usize = 6;
 const MOST_TRIES: usize = 3;
+
+/// Later cuts farther ahead than this are asked by themselves before all between.
+const FAR: usize = 2;
 
 /// So many cuts are made again at most, where a search of directions counts as [`SEARCH`]: a bracket of
 /// hundreds of small cuts would take as long as its plan.
@@ -169,7 +170,8 @@ impl<'a> Turn<'_, 'a> {
         let mut homes: Vec<(usize, BitGrid)> = Vec::new();
         for (j, step) in steps.iter().enumerate().skip(1).take(AHEAD) {
             self.run.ctx.check()?;
-            if let Some(tool) = self.tool(step) {
+            // Of other ends it is not known whether they have room.
+            if let Some(tool) = self.tool(step).filter(|t| Room::is_told_of(t)) {
                 homes.push((j, self.room.of_those(&crowded, (tool, step.direction))));
             }
         }
@@ -271,9 +273,9 @@ impl<'a> Turn<'_, 'a> {
         let scene = Scene::new(&job.frame, &after, self.fixed);
         let mut directions = setting.axes(step.holding);
         directions.extend(setting.sampled(step.holding, self.run.options.directions));
-        // Where a slim end has no room, a stouter one has none.
+        // A stouter end seldom has room where its own has none.
         let own = self.tool(step).map_or(0.0, Tool::tip_radius);
-        let is_slim = |t: &&Tool| t.tip_radius() <= own && (t.has_ball_end() || t.is_tapered());
+        let is_slim = |t: &&Tool| t.tip_radius() <= own && Room::is_told_of(t);
         let slim: Vec<Tool> = job.cutters.iter().filter(is_slim).cloned().collect();
         self.count(SEARCH);
         let mut ways = bounds(&scene, &crowded, &slim, &directions, self.run.ctx)?;
