@@ -73,7 +73,8 @@ pub fn kept_at_first(run: &mut Run, under_planes: usize) -> Result<Option<Attemp
         run.clock.lap("blocks");
         return Ok(Some(made));
     }
-    run.report.notes = notes;
+    let told = std::mem::replace(&mut run.report.notes, notes);
+    run.all_opened = (made.left() == 0).then_some((made, told));
     Ok(None)
 }
 
@@ -95,7 +96,15 @@ pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pl
     let Some(made) = made.filter(may_rank_higher) else { return Ok(None) };
     let notes = std::mem::take(&mut run.report.notes);
     let rival = is_complete(best, job).then(|| best.volumes.reused.count());
-    let made = opened(run, made, rival)?;
+    // Pits that gave up less than all the rival does are those that would be found for it.
+    let known = run.all_opened.take();
+    let made = match known.filter(|(m, _)| rival.is_none_or(|r| m.volumes.reused.count() >= r)) {
+        Some((made, told)) => {
+            run.report.notes = told;
+            made
+        }
+        None => opened(run, made, rival)?,
+    };
     // Here what stands in pockets that are open only below counts as well: giving more up may leave none.
     let standing = |a: &Attempt| a.standing(job, a.volumes.reused.count());
     if standing(&made) >= standing(best) {

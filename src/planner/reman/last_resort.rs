@@ -56,7 +56,7 @@ const AHEAD_MM: f64 = 1.5;
 
 /// How far, in voxels, from what the cutters left of a support others are looked at: carriers of the
 /// same voxel and what carries them.
-const NEAR_STUCK: f64 = 4.0;
+pub const NEAR_STUCK: f64 = 4.0;
 
 /// How far, in voxels, from what the cutters left the supports are as slim as they can be: so the
 /// trunks next to it are slim as well, on grids down to 0.2 mm.
@@ -182,8 +182,8 @@ pub fn on_supports(
     made.ok_or(PlanError::Cancelled)
 }
 
-/// What comes of all cuts made first and then deposits on supports, nothing given up. The setting has the tools of
-/// the last resort.
+/// What comes of all cuts made first and then deposits on supports, nothing given up; where a few supports are left, with
+/// none near them if that leaves fewer. The setting has the tools of the last resort.
 pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt, PlanError> {
     let setting = start.setting;
     let under = UnderPlanes::of(setting.job, Vec::new());
@@ -193,10 +193,20 @@ pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt,
         Cuts { removable, deep: &deep, samples: options.directions, before: &[], patient: false };
     let cutting = cut_blocks(setting, start.coarse, &cuts, ctx)?;
     let stock = Stock { cuts: cutting.steps, state: cutting.state };
-    let care = Care::none(setting.job);
+    let mut care = Care::none(setting.job);
     let with = (Some(care.of_supports()), Patience::Endless);
     let made = start.finished(&under, &stock, with, &[], options, ctx)?;
-    made.ok_or(PlanError::Cancelled)
+    let made = made.ok_or(PlanError::Cancelled)?;
+    // A few voxels of supports that no cutter gets at are in the way of a plan that leaves nothing.
+    let few_stand = (1..=FEW_BELOW).contains(&made.excess.count());
+    if !few_stand || ctx.out_of_time() || !care.learn(start, &made, options, ctx)? {
+        return Ok(made);
+    }
+    let before = made.cuts_after(stock.cuts.len());
+    let with = (Some(care.of_supports()), Patience::Endless);
+    let again = start.finished(&under, &stock, with, &before, options, ctx)?;
+    let stand = |a: &Attempt| (a.excess.count(), a.deficit.count());
+    Ok(again.filter(|a| stand(a) < stand(&made)).unwrap_or(made))
 }
 
 /// Deposits on a stock and cuts of what then stands outside the target, again and again while that

@@ -100,6 +100,7 @@ pub(super) fn with_run<R>(job: &Job, ask: impl Fn(&mut Run) -> R) -> R {
         on_supports: None,
         printed_first: None,
         all_kept: None,
+        all_opened: None,
         resorted: Vec::new(),
         report: Report::default(),
         clock: Clock::default(),

@@ -262,6 +262,8 @@ struct Run<'a> {
     printed_first: Option<Attempt>,
     /// What came of cutting first with nothing given up, where that was looked at.
     all_kept: Option<Option<Attempt>>,
+    /// What pits made of that, and what is to be told of it, where nothing is left but much was given up.
+    all_opened: Option<(Attempt, Vec<String>)>,
     /// The planes of attempts that the last resort was taken to.
     resorted: Vec<Vec<Clip>>,
     report: Report,
@@ -392,6 +394,7 @@ fn one_round(
         on_supports: None,
         printed_first: None,
         all_kept: None,
+        all_opened: None,
         resorted: Vec::new(),
         report,
         clock,
