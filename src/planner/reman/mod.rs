@@ -62,6 +62,7 @@
 //! conservative maps of [`crate::access`]. Not guaranteed: that the residual is zero, or that the
 //! reused volume is the largest possible.
 
+mod aside;
 pub(super) mod bridges;
 mod candidates;
 mod clip;

@@ -17,8 +17,7 @@
 //! blocks.
 //!
 //! Where pits are to outdo a complete plan, they may give up all that it does, and what nothing carries straight up is
-//! opened from above and printed on supports, which are cut away before what is still missing is printed. Where cutters
-//! leave a few of these, there are none near them in a second try.
+//! opened from above and printed on supports, which are cut away before what is still missing is printed (`aside`).
 //!
 //! This is a local plane (W2V Sec. 4.2) bent into a cone: a plane through a patch in a crease gives up
 //! a slice of the part, a pit a few beads, and mostly of what was printed.
@@ -31,15 +30,12 @@
 //! within the tolerance of material given up is cut with it or counts as left. Not guaranteed: that the pits are
 //! the smallest, or their order the best.
 
+use super::aside::on_supports_and_cut;
 use super::cone::{Brick, Cone};
-use super::cutting::{Cuts, cut_along, cut_blocks};
-use super::last_resort::NEAR_STUCK;
+use super::cutting::cut_along;
 use super::laying::{Way, ways_along};
 use super::patches::{Patch, carried_later, patches};
-use super::printing::{
-    OnSupports, Patience, Printing, Wanted, leaves_none, print_blocks, print_crumbs,
-    print_on_supports,
-};
+use super::printing::{Patience, Wanted, leaves_none, print_blocks, print_crumbs};
 use super::round::Attempt;
 use super::setting::Setting;
 use super::{Options, Run, Start, followed};
@@ -48,7 +44,7 @@ use crate::base::{Ctx, DVec2, DVec3, Direction};
 use crate::plan::Job;
 use crate::planner::PlanError;
 use crate::region::Volumes;
-use crate::voxel::{BitGrid, Connectivity, components, distance_within, flood};
+use crate::voxel::{BitGrid, Connectivity, components, flood};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -87,17 +83,6 @@ const MORE_SHARE: f64 = 2e-3;
 
 /// Patches nearer each other than this are one that was tried before, mm.
 const SAME_PLACE_MM: f64 = 1.0;
-
-/// Up to so many voxels of a pit's supports that no cutter gets at, it is made again without supports near them, and
-/// may then miss so many times as many more. Of more, exact distances take most in the end.
-const FEW_STUCK: usize = 5;
-const MORE_MISSING: usize = 10;
-
-/// Whether a second try with supports is worth more than the first, by the supports that either leaves standing and by
-/// what it misses.
-fn leaves_less(stand: [usize; 2], missing: [usize; 2]) -> bool {
-    stand[1] < stand[0] && missing[1] <= missing[0] + MORE_MISSING * stand[0]
-}
 
 /// A pit that was made, over what was missing.
 #[derive(Clone)]
@@ -585,68 +570,6 @@ impl<'s, 'a> Digging<'s, 'a> {
         pit
     }
 
-    /// What is wanted printed straight up on supports, these cut away, and then what is still missing; once more without
-    /// supports near a few that no cutter gets at, if what that leaves is less: it can be opened by further pits.
-    fn on_supports(
-        &self,
-        setting: &Setting,
-        wanted: &Wanted,
-        ctx: &Ctx,
-    ) -> Result<Printing, PlanError> {
-        let none = BitGrid::new(setting.job.frame.dims);
-        let (first, stuck) = self.on_supports_but(setting, wanted, &none, ctx)?;
-        if !(1..=FEW_STUCK).contains(&stuck.count()) {
-            return Ok(first);
-        }
-        let avoided = distance_within(&stuck, NEAR_STUCK).minus(&setting.job.target);
-        let (again, still_stuck) = self.on_supports_but(setting, wanted, &avoided, ctx)?;
-        let missing = |p: &Printing| p.unreached.count_and(wanted.core);
-        tracing::debug!(
-            stuck = stuck.count(),
-            still = still_stuck.count(),
-            missing = missing(&first),
-            now = missing(&again),
-            "supports of a pit left"
-        );
-        let stand = [stuck.count(), still_stuck.count()];
-        let is_better = leaves_less(stand, [missing(&first), missing(&again)]);
-        Ok(if is_better { again } else { first })
-    }
-
-    /// The same with no supports where they are to be avoided, and those of them that are left.
-    fn on_supports_but(
-        &self,
-        setting: &Setting,
-        wanted: &Wanted,
-        avoided: &BitGrid,
-        ctx: &Ctx,
-    ) -> Result<(Printing, BitGrid), PlanError> {
-        let (job, coarse) = (setting.job, self.start.coarse);
-        let none = BitGrid::new(job.frame.dims);
-        let on = OnSupports { direction: Direction::Z, avoided, slim: &none, ahead: &none };
-        let first = print_on_supports(setting, coarse, wanted, on, ctx)?;
-        // What stood there before stays what it was.
-        let supports = first.state.minus(wanted.state).minus(&job.target);
-        let supports = setting.beyond_skin(&supports, wanted.state);
-        if supports.is_empty() {
-            let all = print_crumbs(setting, coarse, wanted, first, leaves_none, ctx)?;
-            return Ok((all, none));
-        }
-        let kept = setting.old_of(wanted.state);
-        let printed = Job { initial: first.state.clone(), ..job.clone() };
-        let next = setting.of_next_round(&printed, kept);
-        let removable = first.state.minus(&job.target);
-        let samples = self.terms.options.directions;
-        let cuts =
-            Cuts { removable: &removable, deep: &supports, samples, before: &[], patient: true };
-        let cutting = cut_blocks(&next, coarse, &cuts, ctx)?;
-        let still = Wanted { state: &cutting.state, added: &first.unreached, ..*wanted };
-        let last = print_blocks(&next, coarse, &still, &[], ctx)?;
-        let mut last = print_crumbs(&next, coarse, &still, last, leaves_none, ctx)?;
-        last.steps = followed(followed(first.steps, cutting.steps), last.steps);
-        Ok((last, supports.and(&cutting.state)))
-    }
-
     /// The plan with a pit cut along a way, and with what is then missing there printed; none where
     /// nothing is cut or laid.
     fn made(
@@ -698,7 +621,9 @@ impl<'s, 'a> Digging<'s, 'a> {
             patience: Patience::Endless,
         };
         let printing = match self.supported == Some(way) {
-            true => self.on_supports(&next, &wanted, ctx)?,
+            true => {
+                on_supports_and_cut(&next, coarse, &wanted, self.terms.options.directions, ctx)?
+            }
             false => {
                 let printing = print_blocks(&next, coarse, &wanted, &[], ctx)?;
                 print_crumbs(&next, coarse, &wanted, printing, leaves_none, ctx)?
@@ -870,50 +795,6 @@ mod tests {
         let aside = made.printed_aside(&job).count();
         assert!(aside > 10, "{aside} voxels of supports");
         assert_verifies(&job, made.steps);
-    }
-
-    /// A nub a few voxels over the floor of a channel: what stands under it is too little for a cut.
-    #[test]
-    fn supports_keep_off_those_that_no_cut_takes() {
-        let nub = |[x, y, z]: [usize; 3]| {
-            (18..24).contains(&x) && (15..21).contains(&y) && (10..16).contains(&z)
-        };
-        let channel = |[x, _, z]: [usize; 3]| (12..34).contains(&x) && z >= 6;
-        let part = |v: [usize; 3]| block(v) && !channel(v);
-        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
-        let target = BitGrid::from_fn(DIMS, |v| part(v) || nub(v));
-        let job = job_of(frame, BitGrid::from_fn(DIMS, part), target, |_| true);
-        let added = job.target.minus(&job.initial);
-        let (stuck, within, avoided) = with_run(&job, |run| {
-            let setting = run.start.setting.with_last_resort();
-            let start = run.start.in_setting(&setting);
-            let terms = Terms { rival: Some(0), options: run.options };
-            let digging = Digging::new(&start, plain(run), terms);
-            let wanted = Wanted {
-                state: &job.initial,
-                added: &added,
-                core: &setting.beyond_skin(&added, &job.initial),
-                preferred: &[Direction::Z],
-                samples: 0,
-                patience: Patience::Endless,
-            };
-            let on = |avoided: &BitGrid| {
-                digging.on_supports_but(&setting, &wanted, avoided, run.ctx).unwrap()
-            };
-            let stuck = on(&BitGrid::new(DIMS)).1;
-            let avoided = distance_within(&stuck, NEAR_STUCK).minus(&job.target);
-            let mut aside = BitGrid::new(DIMS);
-            on(&avoided).0.steps.iter().for_each(|s| aside.union_with(&s.region));
-            (stuck.count(), aside.and(&avoided).count(), avoided.count())
-        });
-        assert!((1..=FEW_STUCK).contains(&stuck) && avoided > 10, "{stuck} {avoided}");
-        assert_eq!(within, 0);
-    }
-
-    #[test]
-    fn supports_left_standing_weigh_more_than_what_can_be_opened_yet() {
-        assert!(leaves_less([3, 0], [6, 7]) && leaves_less([2, 1], [0, 20]));
-        assert!(!leaves_less([3, 3], [6, 0]) && !leaves_less([2, 1], [0, 21]));
     }
 
     /// What nothing would carry asks for no large pits, and a complete plan for none.
