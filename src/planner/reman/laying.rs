@@ -15,7 +15,7 @@ use crate::plan::Job;
 use crate::region::steady;
 use crate::voxel::{BitGrid, Connectivity, Frame, flood};
 use rayon::prelude::*;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 /// A shorter nozzle is taken when it prints this share of what the longest prints.
 const SHORTER_TOOL_SHARE: f64 = 0.97;
@@ -172,6 +172,39 @@ impl Layer<'_> {
         Ok(best.filter(|i| gains[*i] > 0).map(|i| self.lay(ways[i])))
     }
 
+    /// Of the blocks that lay `least` voxels of the core, the one that lays most where each counts the less the more
+    /// ways lay it: by one over the square of their number.
+    pub fn scarcest<'a>(
+        &self,
+        ways: &[Way<'a>],
+        least: usize,
+        ctx: &Ctx,
+    ) -> Result<Option<Block<'a>>, Cancelled> {
+        let scenes = self.scenes();
+        let close = self.close(&scenes);
+        let core = self.left.and(self.core);
+        let places: HashMap<[usize; 3], u32> = core.iter_ones().zip(0..).collect();
+        let laid = |way: &Way| -> Result<Vec<u32>, Cancelled> {
+            ctx.check()?;
+            let region = self.lay_in(*way, &close[way.holding]).region;
+            Ok(region.iter_ones().filter_map(|v| places.get(&v).copied()).collect())
+        };
+        let laid: Vec<Vec<u32>> = ways.par_iter().map(laid).collect::<Result<_, _>>()?;
+        let mut ways_to = vec![0u32; places.len()];
+        laid.iter().flatten().for_each(|v| ways_to[*v as usize] += 1);
+        let worth = |of: &[u32]| -> f64 {
+            of.iter().map(|v| 1.0 / f64::from(ways_to[*v as usize]).powi(2)).sum()
+        };
+        let mut best: Option<(f64, usize)> = None;
+        for (i, of) in laid.iter().enumerate().filter(|(_, of)| of.len() >= least) {
+            let worth = worth(of);
+            if best.is_none_or(|(w, _)| worth > w) {
+                best = Some((worth, i));
+            }
+        }
+        Ok(best.map(|(_, i)| self.lay(ways[i])))
+    }
+
     /// Where a way's nozzle stands clear; nowhere if that is at fewer than `least` voxels for sure.
     fn clear(&self, way: Way, close: &CloseNozzle, candidates: &BitGrid, least: usize) -> BitGrid {
         let (tool, d, dip) = (way.tool, way.direction, self.job.rules.nozzle_dip_mm);
@@ -292,4 +325,45 @@ pub fn joined_from_below(solid: &BitGrid, v: [usize; 3], up: Direction) -> bool 
     };
     // Neighbours beside each other differ by rounding alone.
     joints(v, solid.dims()).any(|q| solid.get(q) && rise(q) < 1e-6)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::local_tests::job_of;
+    use super::*;
+
+    /// A layer on a plate, printed along any of three ways, and less of it under a roof, along one.
+    #[test]
+    fn what_one_way_alone_lays_comes_before_more_that_others_lay_as_well() {
+        let frame = Frame { pitch: 1.0, dims: [60, 40, 30], origin: DVec3::ZERO };
+        let wall = |[x, y, z]: [usize; 3]| x > 20 && x < 24 && y > 4 && y < 36 && z < 24;
+        let roof = |[x, y, z]: [usize; 3]| x < 24 && y > 4 && y < 36 && (20..24).contains(&z);
+        let state = BitGrid::from_fn(frame.dims, |v| v[2] < 4 || wall(v) || roof(v));
+        let open = |[x, y, z]: [usize; 3]| x > 40 && y > 2 && y < 38 && z == 4;
+        let under = |[x, y, z]: [usize; 3]| x == 20 && y > 8 && y < 32 && (10..14).contains(&z);
+        let left = BitGrid::from_fn(frame.dims, |v| open(v) || under(v));
+        let job = job_of(frame, state.clone(), state.or(&left), |_| true);
+        let fixed = vec![Vec::new()];
+        let layer = Layer {
+            job: &job,
+            state: &state,
+            left: &left,
+            core: &left,
+            fixed: &fixed,
+            closely: false,
+        };
+        let tool = Tool::longest(&job.nozzles).unwrap();
+        let tilted = |x: f64| Direction::new(DVec3::new(x, 0.0, 1.0)).unwrap();
+        let ways = [Direction::Z, tilted(0.3), tilted(0.4), Direction::NEG_X]
+            .map(|direction| Way { direction, holding: 0, tool });
+        let ctx = Ctx::quiet();
+        let largest = layer.best(&ways, &ctx).unwrap().unwrap();
+        assert!(largest.way.direction != Direction::NEG_X && largest.gain > 500);
+        let scarcest = layer.scarcest(&ways, 1, &ctx).unwrap().unwrap();
+        assert_eq!((scarcest.way.direction, scarcest.gain), (Direction::NEG_X, 23 * 4));
+        // Of what is too little to be a block the largest is left.
+        let least = layer.scarcest(&ways, 23 * 4 + 1, &ctx).unwrap().unwrap();
+        assert_eq!(least.gain, largest.gain);
+        assert!(layer.scarcest(&ways, left.count(), &ctx).unwrap().is_none());
+    }
 }

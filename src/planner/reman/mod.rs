@@ -63,6 +63,7 @@
 //! reused volume is the largest possible.
 
 mod aside;
+mod backward;
 pub(super) mod bridges;
 mod candidates;
 mod clip;

@@ -281,6 +281,38 @@ pub fn print_again(
     Ok(press.printing)
 }
 
+/// First what is to be printed ahead of all else, what few ways lay before what many do; then blocks in an order that
+/// is given, each with what those before it left of theirs; then what is left.
+pub fn print_in_order(
+    setting: &Setting,
+    coarse: &Coarse,
+    wanted: &Wanted,
+    (ahead, order): (&BitGrid, &[(Way, BitGrid)]),
+    ctx: &Ctx,
+) -> Result<Printing, Cancelled> {
+    let Some(mut press) = Press::new(setting, coarse, wanted) else {
+        return Ok(wanted.unprinted());
+    };
+    press.print_scarcest(ahead, ctx)?;
+    let mut due = ahead.clone();
+    for (way, region) in order {
+        ctx.check()?;
+        due.union_with(region);
+        let Some(tool) = setting.nozzles().iter().find(|t| t.name == way.tool.name) else {
+            continue;
+        };
+        let fixed = press.fixed();
+        let left = due.and(&press.printing.unreached);
+        let block = press.fine(&left, &fixed).lay(Way { tool, ..*way });
+        if block.gain > 0 {
+            press.put(block, fixed);
+        }
+        press.print_scarcest(&due, ctx)?;
+    }
+    press.print_among(wanted.added, ctx)?;
+    Ok(press.printing)
+}
+
 /// Which supports may be printed.
 #[derive(Clone, Copy)]
 pub struct OnSupports<'o> {
@@ -385,6 +417,22 @@ impl<'a> Press<'_, 'a> {
         self.print_among(&self.wanted.added.and(ahead), ctx)?;
         self.least = usual;
         Ok(())
+    }
+
+    /// Small blocks among some of what is wanted: that one first which lays most of what few ways lay.
+    fn print_scarcest(&mut self, some: &BitGrid, ctx: &Ctx) -> Result<(), Cancelled> {
+        let least = (LEAST_AHEAD_MM3 / self.setting.job.frame.voxel_volume()).ceil() as usize;
+        let ways: Vec<Way<'a>> = self.preferred.iter().chain(&self.sampled).copied().collect();
+        loop {
+            let left = self.printing.unreached.and(some);
+            if left.count_and(self.wanted.core) < least {
+                return Ok(());
+            }
+            let fixed = self.fixed();
+            let fine = self.fine(&left, &fixed);
+            let Some(block) = fine.scarcest(&ways, least, ctx)? else { return Ok(()) };
+            self.take(block, left, fixed);
+        }
     }
 
     /// Blocks of any size among some of what is wanted.

@@ -1,5 +1,6 @@
 //! One round of the planner: planes are given; cut, then print.
 
+use super::backward::print_backward;
 use super::clip::Clip;
 use super::coarse::Coarse;
 use super::cutting::{Cuts, cut_blocks};
@@ -238,9 +239,10 @@ pub fn along(clips: &[Clip], preferred: &[Direction]) -> Vec<Direction> {
     clips.iter().map(|c| c.plane.normal).chain(preferred.iter().copied()).collect()
 }
 
-/// Prints, the largest block first; where that leaves anything, along the axes first; while the better of these leaves
-/// a little, once more with the space of some later block left free from the beginning, and so on with the best of
-/// these; what little that leaves in the end, in blocks however small.
+/// Prints, the largest block first; where that leaves anything, along the axes first, and where that leaves more than
+/// crumbs, in an order found from its end; while the best of these leaves a little, once more with the space of some
+/// later block left free from the beginning, and so on with the best of these; what little that leaves in the end, in
+/// blocks however small.
 pub fn printed(
     setting: &Setting,
     coarse: &Coarse,
@@ -264,6 +266,16 @@ pub fn printed(
         let other = print_along_axes(setting, coarse, wanted, ctx)?;
         tracing::debug!(left = left(&other), best = left(&best), "along axes");
         if left(&other) < left(&best) {
+            best = other;
+        }
+    }
+    // Crumbs are asked singly later, which takes less.
+    let more_than_crumbs = left(&best) as f64 > MOST_CRUMBS * setting.job.target.count() as f64;
+    if more_than_crumbs && (tries > 0 || little && is_small) && !ctx.out_of_time() {
+        tries = tries.saturating_sub(1);
+        let other = print_backward(setting, coarse, wanted, ctx)?;
+        if let Some(other) = other.filter(|o| left(o) < left(&best)) {
+            tracing::debug!(left = left(&other), best = left(&best), "backward");
             best = other;
         }
     }
