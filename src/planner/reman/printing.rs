@@ -132,6 +132,9 @@ const WITH_CRUMB_MM: f64 = 1.5;
 /// So many voxels of the crumbs are asked first, all along every way, whether a nozzle gets at them.
 const FIRST_CRUMBS: usize = 16;
 
+/// Of so many voxels it is kept which of some hundred ways lay them: 160 MB.
+const MOST_SCARCE: usize = 200_000;
+
 /// Ways that are looked at closely after the coarse ranking, of the preferred and of the sampled
 /// ones: more costs time, fewer trusts a staircase of coarse voxels too much.
 const FINALISTS: usize = 3;
@@ -419,13 +422,18 @@ impl<'a> Press<'_, 'a> {
         Ok(())
     }
 
-    /// Small blocks among some of what is wanted: that one first which lays most of what few ways lay.
+    /// Small blocks among some of what is wanted: that one first which lays most of what few ways lay, as long as that is
+    /// asked of no more voxels than [`MOST_SCARCE`].
     fn print_scarcest(&mut self, some: &BitGrid, ctx: &Ctx) -> Result<(), Cancelled> {
         let least = (LEAST_AHEAD_MM3 / self.setting.job.frame.voxel_volume()).ceil() as usize;
         let ways: Vec<Way<'a>> = self.preferred.iter().chain(&self.sampled).copied().collect();
         loop {
             let left = self.printing.unreached.and(some);
-            if left.count_and(self.wanted.core) < least {
+            let left_over = left.count_and(self.wanted.core);
+            if left_over > MOST_SCARCE {
+                return self.print_ahead(some, ctx);
+            }
+            if left_over < least {
                 return Ok(());
             }
             let fixed = self.fixed();
