@@ -13,6 +13,7 @@ use super::drop::{DropCutter, End};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::mill::{Free, Work};
 use super::near::NEAR_PITCH;
+use super::pyramid::Maxima;
 use super::standing::standing;
 use crate::base::{Cancelled, DVec2, DVec3};
 use rayon::prelude::*;
@@ -25,9 +26,9 @@ pub(super) struct Exact {
     bound: Image,
     /// Obstacles that no mesh stands for: faces that cuts leave inside the target, with pedestal and
     /// table.
-    faces: Image,
+    faces: Bare,
     /// The same of material outside the target, which goes later: there is no surface to keep.
-    passing: Image,
+    passing: Bare,
     /// Half a pitch, mm.
     half: f64,
 }
@@ -59,6 +60,18 @@ impl Lowest {
     /// Of voxels alone.
     pub fn of_voxels(tips: Image) -> Lowest {
         Lowest { guard: Image::empty(tips.lattice), tips, margin: [0.0; 2] }
+    }
+}
+
+/// Obstacles that no mesh stands for, and the highest of them block by block.
+struct Bare {
+    image: Image,
+    blocks: Maxima,
+}
+
+impl Bare {
+    fn of(image: Image) -> Bare {
+        Bare { blocks: Maxima::of(&image), image }
     }
 }
 
@@ -119,6 +132,7 @@ impl Exact {
         // No point of the surface is farther from its voxel.
         let far = NEAR_PITCH * h + lattice.s;
         let bound = free.heights(work.tool, far, far, work.ctx)?;
+        let [faces, passing] = [faces, passing].map(Bare::of);
         Ok(Some(Exact { end, drop, resting, bound, faces, passing, half: h / 2.0 }))
     }
 
@@ -163,7 +177,7 @@ impl Exact {
 
     /// Obstacles that no mesh stands for, and what an end grown by `margin` keeps off them: of what
     /// passes only the centres have to stay, which are half a pitch inside, but for a nick.
-    fn bare_with(&self, margin: [f64; 2], nick: f64) -> [(&Image, [f64; 2]); 2] {
+    fn bare_with(&self, margin: [f64; 2], nick: f64) -> [(&Bare, [f64; 2]); 2] {
         let passing = margin.map(|m| (m - self.half).max(0.0) - nick);
         [(&self.faces, margin), (&self.passing, passing)]
     }
@@ -179,7 +193,7 @@ impl Exact {
         let (edge, s) = (work.tool.active_radius(), free.window.s);
         for (obstacles, [side, down]) in self.bare_with(margin, 0.0) {
             let end = Profile::new(|rho| work.tool.active_lower_surface(rho), edge, s, side, down);
-            let bare = end.dilate(obstacles, free.window, free.highest(), work.ctx)?;
+            let bare = end.dilate(&obstacles.image, free.window, free.highest(), work.ctx)?;
             tips.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
         }
         Ok(())
@@ -189,16 +203,24 @@ impl Exact {
     /// what passes; of those above `enough` any.
     fn past(&self, at: DVec2, (margin, nick): ([f64; 2], f64), enough: f64) -> f64 {
         let mut lowest = f64::NEG_INFINITY;
-        for (image, [side, down]) in self.bare_with(margin, nick) {
-            let (l, radius) = (image.lattice, self.end.radius() - TOUCHING_MM);
+        for (obstacles, [side, down]) in self.bare_with(margin, nick) {
+            let (l, radius) = (obstacles.image.lattice, self.end.radius() - TOUCHING_MM);
             let (low, high) =
                 ((at - radius - side - l.origin) / l.s, (at + radius + side - l.origin) / l.s);
             let range = |low: f64, high: f64, n: usize| {
                 low.ceil().max(0.0) as usize..((high + 1.0).floor().max(0.0) as usize).min(n)
             };
-            for j in range(low.y, high.y, l.n[1]) {
-                for i in range(low.x, high.x, l.n[0]) {
-                    let top = image.at([i, j]) + down;
+            let (us, vs) = (range(low.x, high.x, l.n[0]), range(low.y, high.y, l.n[1]));
+            for (us, vs, most) in obstacles.blocks.each(us, vs) {
+                let first = l.uv([us.start, vs.start]);
+                let last = l.uv([us.end - 1, vs.end - 1]);
+                let gap = (first - at).max(at - last).max(DVec2::ZERO).length();
+                let rho = (gap - side - TOUCHING_MM).max(0.0);
+                if most + down - self.end.lower(rho.min(radius)) <= lowest {
+                    continue;
+                }
+                for [i, j] in vs.flat_map(|j| us.clone().map(move |i| [i, j])) {
+                    let top = obstacles.image.at([i, j]) + down;
                     let rho = || (l.uv([i, j]).distance(at) - side).max(0.0);
                     if top > lowest && rho() < radius {
                         lowest = lowest.max(top - self.end.lower(rho()));

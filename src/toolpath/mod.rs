@@ -28,6 +28,7 @@ mod piece;
 mod polygons;
 mod print;
 mod process;
+mod pyramid;
 mod ramp;
 mod rowmax;
 mod slice;
