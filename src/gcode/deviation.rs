@@ -49,6 +49,9 @@ const FAR_MM: f64 = 2.0;
 /// voxel's diagonal from the face between voxels.
 const ASIDE_PITCH: f64 = 0.9;
 
+/// Places looked at on the way there, for what is nearest.
+const LOOKS: u32 = 9;
+
 /// One facet of the target.
 #[derive(Clone, Copy, Debug)]
 pub struct Facet {
@@ -240,7 +243,10 @@ fn facet(
     if solid(p + normal * aside) == solid(p - normal * aside) {
         return None;
     }
-    let (inner, outer) = (voxel(p - normal * aside), voxel(p + normal * aside));
+    // What is nearest behind it is what the facet is a face of: along the rim of a pit that is filled again, deposit.
+    let behind = (1..=LOOKS).map(|k| voxel(p - normal * (aside * f64::from(k) / f64::from(LOOKS))));
+    let inner = behind.flatten().find(|v| job.target.get(*v));
+    let outer = voxel(p + normal * aside);
     if !inner.is_some_and(|v| end.get(v)) {
         return None;
     }

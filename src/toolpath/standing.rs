@@ -1,6 +1,6 @@
 //! Which pieces of the meshes still stand.
 //!
-//! Method: a triangle is divided until all of a piece stands or nothing of it does, by the voxels on either side
+//! Method: a triangle is divided until all of a piece stands or nothing of it does, by the nearest voxel on either side
 //! of it; large pieces near no voxel that stands are not divided at all.
 //!
 //! Guarantees: what is found stands to a voxel, on whichever side of a single triangle the solid is. Not
@@ -14,6 +14,11 @@ use rayon::prelude::*;
 
 /// Pieces with shorter sides, in pitches, are judged by their corners and middle.
 const JUDGED_PITCH: f64 = 4.0;
+
+/// The solid behind a point of a surface is looked for so far from it, in pitches, in so many steps: it lies up to half a
+/// voxel's diagonal from the face between voxels.
+const ASIDE_PITCH: f64 = 0.9;
+const LOOKS: u32 = 9;
 
 /// Whether voxels lost what is behind a point of a surface, as they do along edges sharper than they
 /// are wide: around the point some of the `whole` stands and none of it is gone.
@@ -54,12 +59,17 @@ pub(super) fn standing(
                 return Vec::new();
             }
             let Some(normal) = mesh.area_normal(t).try_normalize() else { return Vec::new() };
-            let half = normal * (h / 2.0);
+            let aside = normal * (ASIDE_PITCH * h / f64::from(LOOKS));
             // Either side: single triangles may face the wrong way.
             let stands = |p: DVec3| {
-                let sides = [p - half, p + half].map(|q| work.frame.voxel_at(q));
-                let of = |grid: &BitGrid| sides.iter().flatten().any(|v| grid.get(*v));
-                of(solid) || (!of(whole) && lost(p, work.frame, solid, whole))
+                let at = |by: f64| work.frame.voxel_at(p + aside * by);
+                for k in (1..=LOOKS).map(f64::from) {
+                    let near = [at(-k), at(k)].into_iter().flatten().filter(|v| whole.get(*v));
+                    if let Some(stands) = near.map(|v| solid.get(v)).reduce(|a, b| a || b) {
+                        return stands;
+                    }
+                }
+                lost(p, work.frame, solid, whole)
             };
             let may_stand = |t: &[DVec3; 3]| {
                 let [a, b, c] = *t;
