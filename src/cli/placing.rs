@@ -478,7 +478,7 @@ fn prepare(
             Taken::Always => true,
             Taken::FineGrids => t.is_round_at(frame.pitch),
             // Planner search weighs all its tools against each other at every step.
-            Taken::LastResort | Taken::NarrowGaps => config.search.is_none(),
+            Taken::LastResort | Taken::Finest | Taken::NarrowGaps => config.search.is_none(),
         });
     }
     let costs = config.search.iter().flat_map(|s| &s.tool_costs);

@@ -335,10 +335,10 @@ fn a_program_has_its_skeleton() {
         "(X Y Z: tip in machine coordinates with the head at zero, G54 offset zero)",
         "(table centre 0.000 0.000 0.000, pedestal 90.000 mm)",
         "(T1 ball-3x13 gauge 80.000 mm)",
-        "(T9 short-nozzle gauge 12.000 mm)",
+        "(T10 short-nozzle gauge 12.000 mm)",
     ];
     let cut = ["T1 M6", "G43 H1", "G0 A0.0000 C0.0000", "M3 S16000", "G53 G0 Z750.000", "M5"];
-    let print = ["T9 M6", "G43 H9", "G0 A0.0000 C0.0000", "M70", "G53 G0 Z750.000", "M71"];
+    let print = ["T10 M6", "G43 H10", "G0 A0.0000 C0.0000", "M70", "G53 G0 Z750.000", "M71"];
     let up = "(direction 0.000000 0.000000 1.000000)";
     let want = [
         &begin[..],

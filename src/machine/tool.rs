@@ -60,6 +60,8 @@ pub enum Taken {
     FineGrids,
     /// Only for what all others leave, since it is slender and slow; it makes voxels no finer.
     LastResort,
+    /// Only for what those leave standing.
+    Finest,
     /// Only where another tool would make a cut but has no room beside the surfaces for it; it makes voxels no
     /// finer.
     NarrowGaps,

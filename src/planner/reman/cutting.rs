@@ -86,13 +86,16 @@ pub fn cut_blocks(
     cutter.is_patient = patient;
     cutter.repeat(before, false, ctx)?;
     // Where others follow, the usual cutters need not be looked at closely before them.
-    let alone = cutter.cutters.len() == setting.cutters().len();
+    let alone = cutter.cutters.len() == setting.all_but_finest().len();
     // Nor again where an earlier plan looked along every direction with them.
     if alone || before.is_empty() {
         cutter.cut(samples, alone, ctx)?;
     }
-    if !alone && !cutter.cutting.unreached.is_empty() {
-        cutter.cutters = setting.cutters();
+    for cutters in [setting.all_but_finest(), setting.cutters()] {
+        if cutter.cutters.len() == cutters.len() || cutter.cutting.unreached.is_empty() {
+            continue;
+        }
+        cutter.cutters = cutters;
         cutter.cut(samples, true, ctx)?;
         if setting.cuts_closely() {
             cutter.cut_closely(samples, ctx)?;

@@ -70,7 +70,12 @@ impl Way<'_> {
 
 /// The plan with each run of cuts made as short as this finds.
 pub fn with_fewest_cuts(run: &Run, attempt: Attempt) -> Result<Attempt, PlanError> {
-    let setting = run.start.setting.with_last_resort();
+    let finest: Vec<&Tool> =
+        run.start.setting.job.cutters.iter().filter(|t| t.taken == Taken::Finest).collect();
+    let setting = match attempt.steps.iter().any(|s| finest.iter().any(|t| t.name == s.tool)) {
+        true => run.start.setting.with_close_cuts(),
+        false => run.start.setting.with_last_resort(),
+    };
     let start = run.start.in_setting(&setting);
     let skin = setting.skin(&attempt.volumes.reused);
     let none = BitGrid::new(skin.dims());
@@ -194,7 +199,7 @@ fn cover<'a>(
     let mut wanted = BitGrid::new(kept.dims());
     small.iter().for_each(|s| wanted.union_with(&s.region));
     wanted.intersect_with(deep);
-    let last_resort = |t: &&Tool| t.taken == Taken::LastResort;
+    let last_resort = |t: &&Tool| matches!(t.taken, Taken::LastResort | Taken::Finest);
     let is_resorted_to = |t: &Tool| large.iter().chain(small).any(|s| s.tool == t.name);
     let tools = match setting.cutters().iter().filter(last_resort).any(is_resorted_to) {
         true => setting.cutters(),

@@ -3,7 +3,7 @@
 //! Method. Of each cut by a ball end what a cutter half a voxel wider does not reach beside the target is looked at on
 //! the target's mesh; what has no room there is crowded (see `room`).
 //! What of the crowded a slimmer ball end reaches and has room for is left to it, along the same direction and as held
-//! for it. Of a tapered edge's cut what a wider one does not reach counts as crowded, of a small cut all of it.
+//! for it. Of a tapered edge's cut what a wider one does not reach counts as crowded too, of a small cut all of it.
 //! What neither can make of the cut before the other is done is its own cutter's again, and where little has to be
 //! given back to that one for it, cut with the rest.
 //!
@@ -76,7 +76,7 @@ fn by_room(
     // How wide a tapered edge is where it passes the surface is not told by its end.
     let crowded = match own.is_tapered() {
         true if step.region.count() <= SMALL * tight.count() => step.region.clone(),
-        true => tight.clone(),
+        true => tight.or(&step.region.minus(&room.of_those(&step.region, (own, step.direction)))),
         false => tight.minus(&room.of_those(&tight, (own, step.direction))),
     };
     if crowded.count() < least {
@@ -98,7 +98,9 @@ fn by_room(
         }
     }
     let Some((tool, its)) = best else { return Ok(None) };
-    if its.count() < least || (its.count() as f64) < LEAST_SHARE * crowded.count() as f64 {
+    // The deepest of what a tapered edge cuts is deeper than others are slim: that is no reason to gouge the rest.
+    let least_share = if own.is_tapered() { 0.0 } else { LEAST_SHARE };
+    if its.count() < least || (its.count() as f64) < least_share * crowded.count() as f64 {
         return Ok(None);
     }
     let parts_of = |its: &BitGrid| {

@@ -8,8 +8,8 @@
 //!
 //! Guarantees: where there is room, all the balls that stand for the edge have it, at most [`APART`] of their radius
 //! from each other, between which a ridge is at most a hundredth of a radius deeper in it. Not guaranteed: that a place is
-//! found where there is one, for voxels are looked at two by two by two, and steps may miss it; shank, holder and
-//! what stands outside the target are not looked at.
+//! found where there is one, for steps may miss it; shank, holder and what stands outside the target are not looked
+//! at.
 
 use crate::base::{DVec3, Direction};
 use crate::machine::Tool;
@@ -17,7 +17,6 @@ use crate::mesh::{NearestTriangle, SurfacePoint};
 use crate::plan::Job;
 use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// How deep its edge may bring a cutter into a surface, mm: a little less than what counts as a gouge.
 const GOUGE_MM: f64 = 0.045;
@@ -51,16 +50,12 @@ impl<'a> Room<'a> {
     /// another cutter, of which this is not known.
     pub fn of_those(&self, some: &BitGrid, (tool, direction): (&Tool, Direction)) -> BitGrid {
         let Some(edge) = Edge::of(tool, direction) else { return some.clone() };
-        // Voxels two by two by two have room or not together.
-        let mut groups: BTreeMap<[usize; 3], Vec<[usize; 3]>> = BTreeMap::new();
-        some.iter_ones().for_each(|v| groups.entry(v.map(|c| c / 2)).or_default().push(v));
-        let groups: Vec<Vec<[usize; 3]>> = groups.into_values().collect();
         let (frame, beside) = (self.frame, self.frame.pitch / 2.0);
-        let has = |g: &Vec<[usize; 3]>| edge.has_room(&self.surface, frame.center(g[0]), beside);
-        let open: Vec<bool> = groups.par_iter().map(has).collect();
+        let has = |v: &[usize; 3]| edge.has_room(&self.surface, frame.center(*v), beside);
+        let voxels: Vec<[usize; 3]> = some.iter_ones().collect();
+        let open: Vec<bool> = voxels.par_iter().map(has).collect();
         let mut roomy = BitGrid::new(some.dims());
-        let of_open = groups.into_iter().zip(open).filter(|(_, open)| *open);
-        of_open.flat_map(|(g, _)| g).for_each(|v| roomy.set(v, true));
+        voxels.into_iter().zip(open).for_each(|(v, open)| roomy.set(v, open));
         roomy
     }
 }

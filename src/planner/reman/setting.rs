@@ -44,14 +44,14 @@ impl<'a> Setting<'a> {
         Setting { job, holdings, first_fixed, old: Some(old), last_resort, closely }
     }
 
-    /// The same with all tools of the job.
+    /// The same with the tools of the last resort.
     pub fn with_last_resort(&self) -> Setting<'a> {
         let (job, holdings) = (self.job, self.holdings.clone());
         let (first_fixed, old) = (self.first_fixed.clone(), self.old.clone());
         Setting { job, holdings, first_fixed, old, last_resort: true, closely: self.closely }
     }
 
-    /// The same with all tools of the job and cuts by exact distances: see `close`.
+    /// The same with all tools of the job, the finest too, and cuts by exact distances: see `close`.
     pub fn with_close_cuts(&self) -> Setting<'a> {
         Setting { closely: true, ..self.with_last_resort() }
     }
@@ -62,15 +62,24 @@ impl<'a> Setting<'a> {
 
     /// The cutters that take part, shortest first.
     pub fn cutters(&self) -> &'a [Tool] {
-        if self.last_resort { but_for_gaps(&self.job.cutters) } else { self.usual_cutters() }
+        if self.closely { but_for_gaps(&self.job.cutters) } else { self.all_but_finest() }
     }
 
-    /// All ball ends that are slimmer than a cutter, the stoutest first.
+    /// Those of them that take more than what the others leave.
+    pub fn all_but_finest(&self) -> &'a [Tool] {
+        if self.last_resort { but_for_finest(&self.job.cutters) } else { self.usual_cutters() }
+    }
+
+    /// All ball ends that are slimmer than a cutter, the stoutest first, then the tapered ones whose ball is.
     pub fn slimmer_cutters(&self, than: &Tool) -> Vec<&'a Tool> {
-        let is_slimmer = |t: &&Tool| t.has_ball_end() && t.active_radius() < than.active_radius();
+        let is_slimmer = |t: &&Tool| match t.is_tapered() {
+            true => t.tip_radius() < than.tip_radius(),
+            false => t.has_ball_end() && t.active_radius() < than.active_radius(),
+        };
         let mut slimmer: Vec<&Tool> = self.job.cutters.iter().filter(is_slimmer).collect();
         slimmer.sort_by(|a, b| {
-            b.active_radius().total_cmp(&a.active_radius()).then_with(|| a.name.cmp(&b.name))
+            let radius = b.tip_radius().total_cmp(&a.tip_radius());
+            a.is_tapered().cmp(&b.is_tapered()).then(radius).then_with(|| a.name.cmp(&b.name))
         });
         slimmer
     }
@@ -83,12 +92,12 @@ impl<'a> Setting<'a> {
     /// Whether the job has tools that only the last resort takes.
     pub fn has_last_resort(&self) -> bool {
         let Job { cutters, nozzles, .. } = self.job;
-        [cutters, nozzles].into_iter().any(|tools| usual(tools).len() < but_for_gaps(tools).len())
+        [cutters, nozzles].into_iter().any(|tools| usual(tools).len() < but_for_finest(tools).len())
     }
 
     /// The nozzles that take part, shortest first.
     pub fn nozzles(&self) -> &'a [Tool] {
-        if self.last_resort { but_for_gaps(&self.job.nozzles) } else { usual(&self.job.nozzles) }
+        if self.last_resort { but_for_finest(&self.job.nozzles) } else { usual(&self.job.nozzles) }
     }
 
     /// What of a set stands of the initial part.
@@ -187,6 +196,14 @@ impl<'a> Setting<'a> {
 /// order of [`Taken`].
 fn usual(tools: &[Tool]) -> &[Tool] {
     match tools.partition_point(|t| t.taken < Taken::LastResort) {
+        0 => but_for_finest(tools),
+        others => &tools[..others],
+    }
+}
+
+/// The tools that do not only take what those of the last resort leave; those that do where there are no others.
+fn but_for_finest(tools: &[Tool]) -> &[Tool] {
+    match tools.partition_point(|t| t.taken < Taken::Finest) {
         0 => but_for_gaps(tools),
         others => &tools[..others],
     }
@@ -251,6 +268,8 @@ mod tests {
         assert_eq!(names(all.cutters()), ["ball-1.4x24", "taper-1x50"]);
         assert_eq!(names(all.nozzles()), ["needle-nozzle"]);
         assert_eq!(all.usual_cutters(), usual.cutters());
+        let finest = |s: &Setting| s.cutters().iter().any(|t| t.taken == Taken::Finest);
+        assert!(!finest(&all) && finest(&usual.with_close_cuts()));
         // A job that has no others has these.
         let only = job_of(frame, part.clone(), part, |t| t.taken == Taken::LastResort);
         assert_eq!(names(Setting::new(&only).cutters()), ["ball-1.4x24", "taper-1x50"]);
