@@ -43,7 +43,7 @@
 //!   give up much, all is planned that way with nothing given up at first (`keeping`); where that turns out well,
 //!   no plan under planes is made.
 //! - What a cutter has no room for beside the surfaces (`room`) is left to a slimmer one (`fitting`) or cut
-//!   along another direction (`tilting`).
+//!   along another direction (`tilting`); of skin that is left to none, what need not go stands (`spared`).
 //! - A long cut by a slender cutter is roughed with a stouter one first (`roughing`).
 //! - Which of several placements is worth a plan is judged by blocks on the coarse grid (`glance`).
 //! - On request (`finish_mm`) deposits get an allowance that cutters take off again (`finish`); the
@@ -99,6 +99,7 @@ mod room;
 mod roughing;
 mod round;
 mod setting;
+mod spared;
 mod supports;
 mod tilting;
 #[cfg(test)]
@@ -134,6 +135,7 @@ use roughing::roughed;
 pub use round::COMPLETION_SHARE;
 use round::{Attempt, RESIDUAL_WEIGHT, deep, volumes};
 use setting::Setting;
+use spared::spared;
 use std::cmp::Ordering;
 use tilting::tilted;
 
@@ -420,6 +422,7 @@ fn one_round(
     let room = Room::of(job);
     best = fitted(&mut run, &room, best)?;
     best = tilted(&mut run, &room, best)?;
+    best = spared(&mut run, &room, best)?;
     run.report.note_supports(job, aside, why);
     let Run { mut report, clock, .. } = run;
     report.planes_local = best.clips.iter().filter(|c| c.seeds.is_some()).count();

@@ -62,7 +62,7 @@ const MOST_MADE: usize = 400;
 const SEARCH: usize = 10;
 
 /// Cuts of so few voxels are asked by exact distances where maps say no.
-const MOST_CLOSELY: usize = 300;
+const MOST_CLOSELY: usize = 3000;
 
 /// The plan with what its cutters have no room for cut along other directions; one that the rules refuse as it is, since
 /// no paths are made of it.
@@ -116,12 +116,12 @@ struct Standing {
 }
 
 /// Cuts of one holding after each other.
-struct Turn<'r, 'a> {
-    run: &'r Run<'a>,
-    room: &'r Room<'a>,
-    fixed: &'r [DVec3],
+pub(super) struct Turn<'r, 'a> {
+    pub run: &'r Run<'a>,
+    pub room: &'r Room<'a>,
+    pub fixed: &'r [DVec3],
     /// Cuts made again so far.
-    made_again: &'r Cell<usize>,
+    pub made_again: &'r Cell<usize>,
 }
 
 impl<'a> Turn<'_, 'a> {
@@ -147,12 +147,12 @@ impl<'a> Turn<'_, 'a> {
         Ok(steps)
     }
 
-    fn tool(&self, step: &Step) -> Option<&'a Tool> {
+    pub fn tool(&self, step: &Step) -> Option<&'a Tool> {
         self.run.start.setting.job.cutters.iter().find(|t| t.name == step.tool)
     }
 
     /// What of a cut its own cutter has no room for.
-    fn crowded(&self, state: &BitGrid, step: &Step) -> BitGrid {
+    pub fn crowded(&self, state: &BitGrid, step: &Step) -> BitGrid {
         let job = self.run.start.setting.job;
         let Some(tool) = self.tool(step) else { return BitGrid::new(state.dims()) };
         let way = (tool, step.direction);
@@ -337,7 +337,7 @@ impl<'a> Turn<'_, 'a> {
     }
 
     /// What of a region a step's cutter takes away along its direction.
-    fn made(&self, state: &BitGrid, step: &Step, region: &BitGrid) -> BitGrid {
+    pub fn made(&self, state: &BitGrid, step: &Step, region: &BitGrid) -> BitGrid {
         let (setting, coarse) = (self.run.start.setting, self.run.start.coarse);
         let (job, Some(tool)) = (setting.job, self.tool(step)) else {
             return BitGrid::new(region.dims());

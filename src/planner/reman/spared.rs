@@ -1,0 +1,292 @@
+//! Sparing: skin that no cutter has room for is left standing.
+//!
+//! Method. A slender cutter takes along what it reaches by the middles of voxels, skin too, which need not go. In
+//! corners its edge has no room for that on the target's mesh (see `room`): paths nick the walls beside it, or leave
+//! it. Of such skin what is left by slimmer cutters and along other directions is taken out of its cut. Every later
+//! cut is then made again while it stands, and every later deposit laid again.
+//!
+//! Guarantees: those of cuts and deposits; nothing but skin is left standing beside what stood before, so a plan leaves
+//! as much and reuses as much. Where a later step does not get past the skin, what is near goes after all; where that is
+//! of no use, all stays as it was. Not guaranteed: that all skin without room is found.
+
+use super::Run;
+use super::laying::{Layer, Way};
+use super::room::Room;
+use super::round::Attempt;
+use super::tilting::Turn;
+use crate::base::DVec3;
+use crate::machine::Tool;
+use crate::plan::{Step, StepKind};
+use crate::planner::PlanError;
+use crate::voxel::{BitGrid, distance_within};
+use std::cell::Cell;
+
+/// Fewer voxels are left with their cut.
+const LEAST_VOXELS: usize = 8;
+
+/// So many times as much may stand with what has no room, as what lies under it.
+const MOST_BEHIND: usize = 4;
+
+/// All is made again so often without what was in the way of a later step: what lies within so many radii of its tool,
+/// and so many voxels, of what it missed.
+const TRIES: usize = 5;
+const NEAR_RADII: f64 = 2.0;
+const NEAR_VOXELS: f64 = 2.0;
+
+/// The plan with skin that has no room left standing; the plan as it is where the rules refuse it, or nothing is
+/// spared.
+pub fn spared(run: &mut Run, room: &Room, attempt: Attempt) -> Result<Attempt, PlanError> {
+    let job = run.start.setting.job;
+    if !attempt.is_valid(job) {
+        return Ok(attempt);
+    }
+    let skin = run.start.setting.skin(&attempt.volumes.reused);
+    let mut spare = skin.clone();
+    for _ in 0..TRIES {
+        if run.ctx.out_of_time() {
+            break;
+        }
+        match sparing(run, room, &attempt.steps, (&skin, &spare))? {
+            Sparing::Nothing => break,
+            Sparing::Blocked(by) => spare.subtract(&by),
+            Sparing::Made(steps) => {
+                let mut stock = job.initial.clone();
+                steps[..attempt.cuts].iter().for_each(|s| stock.subtract(&s.region));
+                run.clock.lap("blocks");
+                return Ok(Attempt { steps, stock, ..attempt });
+            }
+        }
+    }
+    run.clock.lap("blocks");
+    Ok(attempt)
+}
+
+/// What comes of steps while skin stands.
+enum Sparing {
+    Made(Vec<Step>),
+    /// No skin that need not go has no room.
+    Nothing,
+    /// A step does not get past this, or something else that stands.
+    Blocked(BitGrid),
+}
+
+/// Steps with what of the `spare` skin has no room left standing.
+fn sparing(
+    run: &Run,
+    room: &Room,
+    steps: &[Step],
+    (skin, spare): (&BitGrid, &BitGrid),
+) -> Result<Sparing, PlanError> {
+    let setting = run.start.setting;
+    let made_again = Cell::new(0);
+    let (mut state, mut made): (_, Vec<Step>) = (setting.job.initial.clone(), Vec::new());
+    let mut standing = BitGrid::new(state.dims());
+    for turn in steps.chunk_by(|a, b| (a.kind, a.holding) == (b.kind, b.holding)) {
+        let fixed = setting.fixed(turn[0].holding, &state);
+        let cuts = Turn { run, room, fixed: &fixed, made_again: &made_again };
+        for step in turn {
+            run.ctx.check()?;
+            let region = match step.kind {
+                StepKind::Additive => {
+                    let region = step.region.minus(&standing);
+                    if !standing.is_empty() {
+                        let missed = region.minus(&laid(run, &state, step, (&region, &fixed)));
+                        if !missed.is_empty() {
+                            return Ok(blocked(run, &standing, &missed, step));
+                        }
+                    }
+                    state.union_with(&region);
+                    region
+                }
+                StepKind::Subtractive => {
+                    let region = cuts.sparing(&state, step, spare, &standing);
+                    let lost = step.region.minus(&region);
+                    let missed = lost.minus(skin);
+                    if !missed.is_empty() {
+                        return Ok(blocked(run, &standing, &missed, step));
+                    }
+                    standing.union_with(&lost);
+                    standing.subtract(&region);
+                    state.subtract(&region);
+                    region
+                }
+            };
+            made.push(Step { region, ..step.clone() });
+        }
+    }
+    tracing::debug!(voxels = standing.count(), "spared");
+    // A cut has to have something left to cut.
+    let is_whole = made.iter().all(|s| !s.region.is_empty());
+    Ok(match !standing.is_empty() && is_whole {
+        true => Sparing::Made(made),
+        false => Sparing::Nothing,
+    })
+}
+
+/// What of the standing is near enough to be in a tool's way to what it missed; all where none is.
+fn blocked(run: &Run, standing: &BitGrid, missed: &BitGrid, step: &Step) -> Sparing {
+    let job = run.start.setting.job;
+    let radius = job.tool(&step.tool).map_or(0.0, Tool::active_radius);
+    let far = NEAR_RADII * radius / job.frame.pitch + NEAR_VOXELS;
+    let near = distance_within(missed, far).and(standing);
+    tracing::debug!(
+        tool = step.tool,
+        missed = missed.count(),
+        standing = standing.count(),
+        near = near.count(),
+        "sparing blocked"
+    );
+    Sparing::Blocked(if near.is_empty() { standing.clone() } else { near })
+}
+
+/// What of a region a step's nozzle lays on a state.
+fn laid(
+    run: &Run,
+    state: &BitGrid,
+    step: &Step,
+    (region, fixed): (&BitGrid, &Vec<DVec3>),
+) -> BitGrid {
+    let job = run.start.setting.job;
+    let Some(tool) = job.tool(&step.tool) else { return BitGrid::new(region.dims()) };
+    let fixed = vec![fixed.clone(); step.holding + 1];
+    let layer = Layer { job, state, left: region, core: region, fixed: &fixed, closely: true };
+    layer.lay(Way { direction: step.direction, holding: step.holding, tool }).region
+}
+
+impl Turn<'_, '_> {
+    /// What a cut takes with the `spare` that has no room left standing, while other skin stands.
+    fn sparing(
+        &self,
+        state: &BitGrid,
+        step: &Step,
+        spare: &BitGrid,
+        standing: &BitGrid,
+    ) -> BitGrid {
+        let its = self.without_room(state, step).and(spare);
+        if its.count() >= LEAST_VOXELS {
+            let region = self.made(state, step, &step.region.minus(&its));
+            let lost = step.region.minus(&region);
+            if lost.is_subset_of(spare) && lost.count() <= MOST_BEHIND * its.count() {
+                return region;
+            }
+        }
+        match standing.is_empty() {
+            true => step.region.clone(),
+            false => self.made(state, step, &step.region),
+        }
+    }
+
+    /// What of a slender cutter's cut it has no room for. Of what the usual ones take paths leave little.
+    fn without_room(&self, state: &BitGrid, step: &Step) -> BitGrid {
+        let is_usual = |t: &str| self.run.start.setting.usual_cutters().iter().any(|u| u.name == t);
+        match self.tool(step).filter(|t| Room::is_told_of(t) && !is_usual(&t.name)) {
+            None => BitGrid::new(state.dims()),
+            // How wide a tapered edge is where it passes the surface is not told by its end.
+            Some(tool) if tool.is_tapered() => {
+                step.region.minus(&self.room.of_those(&step.region, (tool, step.direction)))
+            }
+            Some(_) => self.crowded(state, step),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::local_tests::{assert_verifies, job_of, with_run};
+    use super::*;
+    use crate::base::{Ctx, Direction};
+    use crate::mesh::TriMesh;
+    use crate::plan::{Action, Job, Origin};
+    use crate::voxel::{Frame, voxelise};
+
+    /// A block with a slot of 1.2 mm into which a cutter of 1.4 mm fits by the middles of voxels, 3 mm deep; under it, if so,
+    /// a pocket 3 mm wide and 3 mm high that is open nowhere else. The tolerance makes skin of all of the slot.
+    fn job(with_pocket: bool) -> Job {
+        let boxed = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
+        let beside = |low: f64, high: f64, [y, to]: [f64; 2]| {
+            [
+                boxed([0.0, 0.0, low], [9.0, y, high]),
+                boxed([0.0, to, low], [9.0, 9.0, high]),
+                boxed([0.0, y, low], [2.0, to, high]),
+                boxed([7.0, y, low], [9.0, to, high]),
+            ]
+        };
+        let mut all = vec![boxed([0.0, 0.0, 0.0], [9.0, 9.0, 2.0])];
+        match with_pocket {
+            true => all.extend(beside(2.0, 5.0, [3.0, 6.0])),
+            false => all.push(boxed([0.0, 0.0, 2.0], [9.0, 9.0, 5.0])),
+        }
+        all.extend(beside(5.0, 8.0, [4.0, 5.2]));
+        let target = TriMesh::joined(&all);
+        let frame = Frame { pitch: 0.25, dims: [42, 42, 40], origin: DVec3::splat(-0.75) };
+        let solid = |mesh: &TriMesh| voxelise(mesh, &frame, &Ctx::quiet()).unwrap();
+        let initial = solid(&boxed([0.0, 0.0, 0.0], [9.0, 9.0, 8.0]));
+        let slim = |name: &str| ["ball-1.4x24", "ball-3x13"].contains(&name);
+        let mut job = job_of(frame, initial, solid(&target), |t| slim(&t.name));
+        job.target_mesh = target;
+        job.rules.tolerance_mm = 0.75;
+        job
+    }
+
+    /// The cuts from above of what lies over a height, then of the rest, and what comes of them.
+    fn made(job: &Job) -> (Vec<Step>, Sparing) {
+        with_run(job, |run| {
+            let room = Room::of(job);
+            let fixed = run.start.setting.fixed(0, &job.initial);
+            let made_again = Cell::new(0);
+            let turn = Turn { run, room: &room, fixed: &fixed, made_again: &made_again };
+            let (mut state, mut steps) = (job.initial.clone(), Vec::new());
+            let over = BitGrid::from_fn(job.frame.dims, |v| job.frame.center(v).z > 5.0);
+            let removed = job.initial.minus(&job.target);
+            for part in [removed.and(&over), removed.minus(&over)] {
+                let mut step = Step {
+                    kind: StepKind::Subtractive,
+                    tool: "ball-1.4x24".into(),
+                    direction: Direction::Z,
+                    holding: 0,
+                    region: BitGrid::new(job.frame.dims),
+                    block: steps.len(),
+                    origin: Origin { plane: None, action: Some(Action::OC) },
+                };
+                step.region = turn.made(&state, &step, &part);
+                if !step.region.is_empty() {
+                    state.subtract(&step.region);
+                    steps.push(step);
+                }
+            }
+            let skin = run.start.setting.skin(&job.target);
+            let sparing = sparing(run, &room, &steps, (&skin, &skin)).unwrap();
+            (steps, sparing)
+        })
+    }
+
+    /// Of a slot narrower than its cutter the lower part used to be cut at the price of its walls.
+    #[test]
+    fn skin_in_a_slot_without_room_stands() {
+        let mut job = job(false);
+        // Half of the slot is open, so the cut has something to take.
+        let wide = BitGrid::from_fn(job.frame.dims, |v| {
+            let p = job.frame.center(v);
+            (2.0..4.0).contains(&p.x) && (2.5..6.5).contains(&p.y) && (5.0..8.0).contains(&p.z)
+        });
+        job.target.subtract(&wide);
+        let (steps, made) = made(&job);
+        let Sparing::Made(after) = made else { panic!("nothing was spared") };
+        let slot = |v: &[usize; 3]| (4.5..6.5).contains(&job.frame.center(*v).x);
+        let in_slot = |s: &[Step]| -> usize {
+            s.iter().map(|s| s.region.iter_ones().filter(slot).count()).sum()
+        };
+        assert!(in_slot(&steps) > 100, "{}", in_slot(&steps));
+        assert!(4 * in_slot(&after) < in_slot(&steps), "{}", in_slot(&after));
+        assert_verifies(&job, after);
+    }
+
+    /// What lies under it has to go, and only through it.
+    #[test]
+    fn skin_in_the_way_of_a_later_cut_goes() {
+        let (steps, made) = made(&job(true));
+        assert!(steps.len() == 2 && steps[1].region.count() > 100);
+        let Sparing::Blocked(by) = made else { panic!("it is not in the way") };
+        assert!(!by.is_empty());
+    }
+}
