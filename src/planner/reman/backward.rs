@@ -62,12 +62,11 @@ pub fn print_backward(
                 best = Some((gain, *way, block));
             }
         }
-        let Some((gain, way, block)) = best else { break };
+        let Some((gain, way, mut block)) = best else { break };
         if (gain as f64) < LEAST_SHARE * all {
             break;
         }
         core.subtract(&block);
-        let mut block = block;
         let beside = skin.and(&left).and(&distance_within(&block, near));
         block.union_with(&beside.minus(&distance_within(&core, near)));
         left.subtract(&block);

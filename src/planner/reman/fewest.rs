@@ -70,9 +70,9 @@ impl Way<'_> {
 
 /// The plan with each run of cuts made as short as this finds.
 pub fn with_fewest_cuts(run: &Run, attempt: Attempt) -> Result<Attempt, PlanError> {
-    let finest: Vec<&Tool> =
-        run.start.setting.job.cutters.iter().filter(|t| t.taken == Taken::Finest).collect();
-    let setting = match attempt.steps.iter().any(|s| finest.iter().any(|t| t.name == s.tool)) {
+    let job = run.start.setting.job;
+    let is_finest = |s: &Step| job.tool(&s.tool).is_some_and(|t| t.taken == Taken::Finest);
+    let setting = match attempt.steps.iter().any(is_finest) {
         true => run.start.setting.with_close_cuts(),
         false => run.start.setting.with_last_resort(),
     };

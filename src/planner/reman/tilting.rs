@@ -31,7 +31,7 @@ use std::cmp::Reverse;
 /// Paths may leave two percent of a cut: so much of it is no reason to cut it otherwise.
 const SPARE_SHARE: f64 = 0.01;
 
-/// Fewer are left with their cut: voxels have room or not eight together.
+/// Fewer are left with their cut.
 const LEAST_VOXELS: usize = 8;
 
 /// A cut of its own takes at least this share of what is left then.
