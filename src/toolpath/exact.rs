@@ -88,21 +88,20 @@ impl Exact {
         let outside = work.job.initial.minus(&work.job.target);
         let stands = [work.after.and(&work.job.target), work.after.and(&outside)];
         let lattice = free.window;
-        let margin = DVec2::splat(end.radius() + h);
-        let far = lattice.uv([lattice.n[0] - 1, lattice.n[1] - 1]) + margin;
-        let near = lattice.origin - margin;
-        let within = |p: DVec2| p.cmpge(near).all() && p.cmple(far).all();
+        // A tip may stand up to a cell from those that are wanted.
+        let margin = DVec2::splat(end.radius() + h.max(2.0 * lattice.s));
+        let is_near = |low: DVec2, high: DVec2| free.wanted.any_within(low - margin, high + margin);
         let mut triangles = Vec::new();
         let wholes = [&work.job.target, &outside];
         for ((mesh, solid), whole) in meshes.iter().zip(&stands).zip(wholes) {
-            triangles.extend(standing(mesh, [solid, whole], work, [near, far]));
+            triangles.extend(standing(mesh, [solid, whole], work, &is_near));
         }
         let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
         let plane = lattice.plane;
         let bare: Vec<([usize; 3], DVec3)> = shell
             .par_iter()
             .map(|v| (*v, work.frame.center(*v)))
-            .filter(|(_, p)| within(plane.across(*p)))
+            .filter(|(_, p)| is_near(plane.across(*p), plane.across(*p)))
             .filter(|(v, _)| {
                 let side = wholes.iter().position(|whole| whole.get(*v));
                 side.is_none_or(|side| !work.surfaces[side].get(*v))
@@ -122,10 +121,10 @@ impl Exact {
         rows.try_for_each(|(j, row)| -> Result<(), Cancelled> {
             // Next to it the end mostly rests on the same triangle.
             let mut on = None;
-            for (i, z) in row.iter_mut().enumerate() {
+            for i in free.wanted.runs(j).iter().cloned().flatten() {
                 work.ctx.check()?;
                 let height = drop.height_from(end, lattice.uv([i, j]), &mut on);
-                *z = height.map_or(f32::NEG_INFINITY, |z| z as f32);
+                row[i] = height.map_or(f32::NEG_INFINITY, |z| z as f32);
             }
             Ok(())
         })?;
@@ -193,7 +192,7 @@ impl Exact {
         let (edge, s) = (work.tool.active_radius(), free.window.s);
         for (obstacles, [side, down]) in self.bare_with(margin, 0.0) {
             let end = Profile::new(|rho| work.tool.active_lower_surface(rho), edge, s, side, down);
-            let bare = end.dilate(&obstacles.image, free.window, free.highest(), work.ctx)?;
+            let bare = end.dilate_over(&obstacles.image, &free.wanted, free.highest(), work.ctx)?;
             tips.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
         }
         Ok(())

@@ -11,6 +11,7 @@
 
 use super::pyramid::{Pyramid, Rings, TILE};
 use super::rowmax::row_tables;
+use super::wanted::Wanted;
 use crate::base::{Cancelled, Ctx, DVec2, DVec3, ImagePlane};
 use crate::voxel::Frame;
 use rayon::prelude::*;
@@ -207,6 +208,20 @@ impl Profile {
         highest: f64,
         ctx: &Ctx,
     ) -> Result<Image, Cancelled> {
+        self.dilate_over(img, &Wanted::all(over), highest, ctx)
+    }
+
+    /// The same for the wanted cells; the others are at +∞.
+    ///
+    /// # Errors
+    /// When the user stops the run.
+    pub fn dilate_over(
+        &self,
+        img: &Image,
+        over: &Wanted,
+        highest: f64,
+        ctx: &Ctx,
+    ) -> Result<Image, Cancelled> {
         if self.discs.len() > MOST_DISCS
             && let Some(rings) = Rings::of(&self.discs)
         {
@@ -220,13 +235,14 @@ impl Profile {
         &self,
         rings: &Rings,
         img: &Image,
-        over: Lattice,
+        over: &Wanted,
         highest: f64,
         ctx: &Ctx,
     ) -> Result<Image, Cancelled> {
         let near =
             Profile { near: Vec::new(), discs: Vec::new(), chords: self.chords.clone(), ..*self };
         let mut out = near.dilate_by_rows(img, over, highest, ctx)?;
+        let over = over.lattice();
         let shift = ((over.origin - img.lattice.origin) / img.lattice.s).round();
         let pyramid = Pyramid::of(img);
         let nx = over.n[0].max(1);
@@ -244,10 +260,11 @@ impl Profile {
     fn dilate_by_rows(
         &self,
         img: &Image,
-        over: Lattice,
+        wanted: &Wanted,
         highest: f64,
         ctx: &Ctx,
     ) -> Result<Image, Cancelled> {
+        let over = wanted.lattice();
         let shift = ((over.origin - img.lattice.origin) / img.lattice.s).round();
         let (si, sj) = (shift.x as i64, shift.y as i64);
         let floor = self.platform.map_or(f32::NEG_INFINITY, |z| highest as f32 - z);
@@ -258,20 +275,24 @@ impl Profile {
         out.data.par_chunks_mut(nx).enumerate().try_for_each(
             |(j, row)| -> Result<(), Cancelled> {
                 ctx.check()?;
-                row.fill(floor);
+                row.fill(f32::INFINITY);
                 let y = j as i64 + sj;
-                for c in &self.chords {
-                    if let Some(t) = table(y + c.row) {
-                        t.lift(row, si + c.first, c.width, c.z);
+                for run in wanted.runs(j) {
+                    let (row, si) = (&mut row[run.clone()], si + run.start as i64);
+                    row.fill(floor);
+                    for c in &self.chords {
+                        if let Some(t) = table(y + c.row) {
+                            t.lift(row, si + c.first, c.width, c.z);
+                        }
                     }
-                }
-                for &(radius, z) in &self.discs {
-                    let n = radius.floor() as i64;
-                    for dj in -n..=n {
-                        if let Some(t) = table(y + dj) {
-                            let half = radius * radius - (dj * dj) as f64;
-                            let half = half.max(0.0).sqrt().floor() as i64;
-                            t.lift(row, si - half, 2 * half as usize + 1, z);
+                    for &(radius, z) in &self.discs {
+                        let n = radius.floor() as i64;
+                        for dj in -n..=n {
+                            if let Some(t) = table(y + dj) {
+                                let half = radius * radius - (dj * dj) as f64;
+                                let half = half.max(0.0).sqrt().floor() as i64;
+                                t.lift(row, si - half, 2 * half as usize + 1, z);
+                            }
                         }
                     }
                 }
@@ -367,7 +388,8 @@ mod tests {
             assert!(profile.discs.len() > MOST_DISCS);
             let over = lattice([190, 131], [-60, -44]);
             let got = profile.dilate(&img, over, 50.0, &Ctx::quiet()).unwrap();
-            let want = profile.dilate_by_rows(&img, over, 50.0, &Ctx::quiet()).unwrap();
+            let want =
+                profile.dilate_by_rows(&img, &Wanted::all(over), 50.0, &Ctx::quiet()).unwrap();
             assert!(got.data == want.data, "{radius}");
             assert!(got.data.iter().any(|z| z.is_finite()));
         }

@@ -23,6 +23,7 @@ use super::moves::{Figures, Move, MoveKind};
 use super::process::{CLEARANCE_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
 use super::touch::Touch;
+use super::wanted::Wanted;
 use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
@@ -51,6 +52,10 @@ const NO_MOVE_MM: f64 = 0.02;
 /// cells of 0.03 mm. Wider edges reach from nearer by, and a point that none reaches costs a look at
 /// every cell.
 pub(super) const FAR_CELLS: f64 = 64.0;
+
+/// Tips are taken up to so many cells beside those over which an edge meets the region: a pass goes to a wall within
+/// a cell, and what a cell leaves may be cut from as far as a voxel beside it.
+const BESIDE_CELLS: f64 = 6.0;
 
 /// What a step works on.
 pub(super) struct Work<'a> {
@@ -103,9 +108,11 @@ fn region_box(work: &Work) -> (DVec2, DVec2) {
 }
 
 /// Lowest free tip heights over a window of tips, for several margins, and the height over which
-/// nothing of the state before the step stands.
+/// nothing of the state before the step stands. Where none are wanted they are +∞.
 pub(super) struct Free {
     pub window: Lattice,
+    /// Those of its cells over which there are tips.
+    pub wanted: Wanted,
     obstacles: Image,
     highest: f64,
     pub state_top: f64,
@@ -132,7 +139,28 @@ impl Free {
         let heights = work.before.boundary();
         let tops = heights.iter_ones().map(|v| plane.height(work.frame.center(v)));
         let state_top = tops.fold(f64::NEG_INFINITY, f64::max) + work.frame.pitch;
-        Free { window: all.window(lo - tips, hi + tips), obstacles, highest, state_top }
+        let window = all.window(lo - tips, hi + tips);
+        Free { window, wanted: Wanted::all(window), obstacles, highest, state_top }
+    }
+
+    /// The same with tips only over what is within `reach` mm of the region's columns.
+    pub fn beside(self, work: &Work, reach: f64) -> Free {
+        let across = |v| self.window.plane.across(work.frame.center(v));
+        let columns = work.step.region.iter_ones().map(across);
+        Free { wanted: Wanted::around(self.window, columns, reach), ..self }
+    }
+
+    /// Height of the highest tip over the window, wanted or not, at which fixed points are as far off as the tool grown
+    /// by `side` and `down` is: of each point over the nearest place of the window.
+    fn highest_over(&self, work: &Work, side: f64, down: f64) -> f64 {
+        let (l, plane) = (self.window, self.window.plane);
+        let last = l.uv(l.n.map(|n| n.saturating_sub(1)));
+        let over = |p: &DVec3| {
+            let at = plane.across(*p);
+            let apart = at.distance(at.clamp(l.origin, last));
+            plane.height(*p) + down - work.tool.lower_surface((apart - side).max(0.0))
+        };
+        work.fixed.iter().map(over).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// H with the tool grown by `side` and `down`, mm.
@@ -150,7 +178,7 @@ impl Free {
 
     /// The obstacles dilated by any profile.
     pub fn dilated(&self, profile: &Profile, ctx: &Ctx) -> Result<Image, Cancelled> {
-        profile.dilate(&self.obstacles, self.window, self.highest, ctx)
+        profile.dilate_over(&self.obstacles, &self.wanted, self.highest, ctx)
     }
 
     /// Whether the edge of a tool at a tip holds no obstacle; shank and holder are not looked at.
@@ -214,6 +242,7 @@ impl<'a> Stage<'a> {
         let radius = work.tool.active_radius();
         let free = Free::around(work, work.after, radius);
         let lattice = free.window;
+        let free = free.beside(work, radius + BESIDE_CELLS * lattice.s);
         let edge =
             Profile::new(|rho| work.tool.active_lower_surface(rho), radius, lattice.s, 0.0, 0.0);
         let (mut tops, mut bottoms) = (Image::empty(lattice), Image::empty(lattice));
@@ -242,8 +271,7 @@ impl<'a> Stage<'a> {
             None => free.heights(work.tool, side, down, work.ctx).map(Lowest::of_voxels),
         };
         let (fine, exact) = (heights(half, h / 2.0)?, heights(0.0, 0.0)?);
-        let highest = |i: &Image| i.data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let safe = free.state_top.max(f64::from(highest(&fine.tips))) + CLEARANCE_MM;
+        let safe = free.state_top.max(free.highest_over(work, half, h / 2.0)) + CLEARANCE_MM;
         let stock = Stock::new(&tops, &edge, h / 2.0);
         let over = |profile: &Profile, img: &Image| {
             profile.dilate(img, lattice, f64::NEG_INFINITY, work.ctx)

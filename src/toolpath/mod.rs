@@ -37,6 +37,7 @@ mod standing;
 mod swept;
 mod timing;
 mod touch;
+mod wanted;
 #[cfg(test)]
 pub(crate) mod tests;
 

@@ -38,12 +38,12 @@ fn lost(p: DVec3, frame: &Frame, solid: &BitGrid, whole: &BitGrid) -> bool {
 }
 
 /// Pieces of a mesh on whose inner side `solid`, what stands of the `whole`, has material, as (u, v,
-/// height), over a box of (u, v).
+/// height), whose box of (u, v) `is_near`.
 pub(super) fn standing(
     mesh: &TriMesh,
     [solid, whole]: [&BitGrid; 2],
     work: &Work,
-    [near, far]: [DVec2; 2],
+    is_near: &(dyn Fn(DVec2, DVec2) -> bool + Sync),
 ) -> Vec<[DVec3; 3]> {
     let plane = work.step.direction.image_plane();
     let h = work.frame.pitch;
@@ -52,10 +52,11 @@ pub(super) fn standing(
         .into_par_iter()
         .map(|t| {
             let corners = mesh.corners(t);
-            let uv = corners.map(|p| plane.across(p));
-            let lo = uv[0].min(uv[1]).min(uv[2]);
-            let hi = uv[0].max(uv[1]).max(uv[2]);
-            if lo.cmpgt(far).any() || hi.cmplt(near).any() {
+            let is_near = |t: &[DVec3; 3]| {
+                let [a, b, c] = t.map(|p| plane.across(p));
+                is_near(a.min(b).min(c), a.max(b).max(c))
+            };
+            if !is_near(&corners) {
                 return Vec::new();
             }
             let Some(normal) = mesh.area_normal(t).try_normalize() else { return Vec::new() };
@@ -73,7 +74,7 @@ pub(super) fn standing(
             };
             let may_stand = |t: &[DVec3; 3]| {
                 let [a, b, c] = *t;
-                solids.any_near(a.min(b).min(c), a.max(b).max(c))
+                is_near(t) && solids.any_near(a.min(b).min(c), a.max(b).max(c))
             };
             let judge = Judge {
                 judged: JUDGED_PITCH * h,
