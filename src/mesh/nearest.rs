@@ -4,7 +4,8 @@ use crate::base::{Aabb, DVec3};
 /// Finds the triangle nearest to a point among those within a search distance.
 ///
 /// Triangles are listed in the cells of a uniform grid that their boxes touch, so a query looks at
-/// a handful of cells. Built for queries close to the surface.
+/// a handful of cells, at the point's own first and then at none that is farther than what it found. Built for queries
+/// close to the surface.
 pub struct NearestTriangle {
     /// Of each triangle its corners, box and unit normal; no normal of one without area.
     faces: Vec<Face>,
@@ -103,13 +104,19 @@ impl NearestTriangle {
         let mut far = self.cell.min(most);
         let (lo, hi) = (self.cell_of(p - DVec3::splat(far)), self.cell_of(p + DVec3::splat(far)));
         let mut best: Option<SurfacePoint> = None;
-        for c in self.each_cell(lo, hi) {
+        // How far it is still worth to look after that, mm².
+        let mut look_into = |[x, y, z]: [usize; 3]| {
+            let c = x + self.dims[0] * (y + self.dims[1] * z);
             for &t in &self.triangles[self.starts[c] as usize..self.starts[c + 1] as usize] {
                 let t = t as usize;
                 let face = &self.faces[t];
                 let reach = far + ROUNDING_MM;
                 let apart = (p.clamp(face.within.min, face.within.max) - p).length_squared();
                 let Some(normal) = face.normal.filter(|_| apart <= reach * reach) else { continue };
+                // The box of a slanted one tells little.
+                if (p - face.corners[0]).dot(normal).abs() > reach {
+                    continue;
+                }
                 let point = closest_on_triangle(p, face.corners);
                 let distance = point.distance(p);
                 let better = best.is_none_or(|b| {
@@ -118,6 +125,23 @@ impl NearestTriangle {
                 if better && distance <= self.cell && distance < most {
                     best = Some(SurfacePoint { triangle: t, point, normal, distance });
                     far = distance;
+                }
+            }
+            (far + ROUNDING_MM).powi(2)
+        };
+        let own = self.cell_of(p);
+        let mut far2 = look_into(own);
+        let apart2 = |a: usize, c: usize| {
+            let low = self.origin[a] + c as f64 * self.cell;
+            (low - p[a]).max(p[a] - low - self.cell).max(0.0).powi(2)
+        };
+        for z in lo[2]..=hi[2] {
+            for y in lo[1]..=hi[1] {
+                let across = apart2(2, z) + apart2(1, y);
+                for x in lo[0]..=hi[0] {
+                    if across + apart2(0, x) <= far2 && [x, y, z] != own {
+                        far2 = look_into([x, y, z]);
+                    }
                 }
             }
         }

@@ -17,6 +17,8 @@ use crate::mesh::{NearestTriangle, SurfacePoint};
 use crate::plan::Job;
 use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
 
 /// How deep its edge may bring a cutter into a surface, mm: a little less than what counts as a gouge.
 const GOUGE_MM: f64 = 0.045;
@@ -29,16 +31,29 @@ const APART: f64 = 0.3;
 const STEPS: i32 = 16;
 const FULL_STEPS: i32 = 4;
 
+/// Answers for more voxels than this are not kept: so many take 100 MB.
+const MOST_KNOWN: usize = 4_000_000;
+
 /// Where cutters have room in a job.
 pub struct Room<'a> {
     frame: &'a Frame,
     surface: NearestTriangle,
+    known: Mutex<Known>,
+}
+
+/// What was asked before, tool by tool and direction by direction: each of several passes over the cuts of a plan asks
+/// for much the same.
+#[derive(Default)]
+struct Known {
+    of: HashMap<(String, [u64; 3]), HashMap<[usize; 3], bool>>,
+    count: usize,
 }
 
 impl<'a> Room<'a> {
     pub fn of(job: &'a Job) -> Room<'a> {
         let widest = job.cutters.iter().map(Tool::active_radius).fold(0.0, f64::max);
-        Room { frame: &job.frame, surface: NearestTriangle::new(&job.target_mesh, widest) }
+        let surface = NearestTriangle::new(&job.target_mesh, widest);
+        Room { frame: &job.frame, surface, known: Mutex::default() }
     }
 
     /// Whether it is known where a cutter has room: one with a ball end, tapered or not.
@@ -52,10 +67,20 @@ impl<'a> Room<'a> {
         let Some(edge) = Edge::of(tool, direction) else { return some.clone() };
         let (frame, beside) = (self.frame, self.frame.pitch / 2.0);
         let has = |v: &[usize; 3]| edge.has_room(&self.surface, frame.center(*v), beside);
+        let key = (tool.name.clone(), direction.vec().to_array().map(f64::to_bits));
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let Known { of, count } = &mut *known;
+        let its = of.entry(key).or_default();
         let voxels: Vec<[usize; 3]> = some.iter_ones().collect();
-        let open: Vec<bool> = voxels.par_iter().map(has).collect();
+        let open: Vec<bool> =
+            voxels.par_iter().map(|v| its.get(v).copied().unwrap_or_else(|| has(v))).collect();
         let mut roomy = BitGrid::new(some.dims());
-        voxels.into_iter().zip(open).for_each(|(v, open)| roomy.set(v, open));
+        for (v, open) in voxels.into_iter().zip(open) {
+            roomy.set(v, open);
+            if *count < MOST_KNOWN && its.insert(v, open).is_none() {
+                *count += 1;
+            }
+        }
         roomy
     }
 }

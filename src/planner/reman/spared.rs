@@ -172,7 +172,7 @@ impl Turn<'_, '_> {
         }
         match standing.is_empty() {
             true => step.region.clone(),
-            false => self.made(state, step, &step.region),
+            false => self.made_beside(state, step, &step.region, standing),
         }
     }
 

@@ -61,6 +61,9 @@ const FAR: usize = 2;
 const MOST_MADE: usize = 400;
 const SEARCH: usize = 10;
 
+/// What stands is near a cut that is so many voxels beside it, and in a tool's way so many voxels beside that.
+const NEAR_VOXELS: f64 = 2.0;
+
 /// Cuts of so few voxels are asked by exact distances where maps say no.
 const MOST_CLOSELY: usize = 3000;
 
@@ -249,7 +252,7 @@ impl<'a> Turn<'_, 'a> {
         for step in steps {
             self.run.ctx.check()?;
             let rest = step.region.minus(&taken);
-            let region = self.made(&state, step, &rest);
+            let region = self.made_beside(&state, step, &rest, &taken);
             taken.union_with(&rest.minus(&region));
             if taken.count() > most {
                 return Ok(None);
@@ -334,6 +337,47 @@ impl<'a> Turn<'_, 'a> {
 
     fn count(&self, made: usize) {
         self.made_again.set(self.made_again.get() + made);
+    }
+
+    /// The same of a cut that is made without `standing`, while that stands besides: all of it where that is
+    /// nowhere near the tool.
+    pub fn made_beside(
+        &self,
+        state: &BitGrid,
+        step: &Step,
+        region: &BitGrid,
+        standing: &BitGrid,
+    ) -> BitGrid {
+        match *region != step.region || self.is_near(standing, step) {
+            true => self.made(state, step, region),
+            false => region.clone(),
+        }
+    }
+
+    /// Whether any of some voxels is beside a cut, or where its tool may be for a voxel of the cut's box.
+    fn is_near(&self, some: &BitGrid, step: &Step) -> bool {
+        let job = self.run.start.setting.job;
+        let (Some(tool), Some((low, high))) = (self.tool(step), step.region.extent()) else {
+            return true;
+        };
+        let (frame, plane) = (&job.frame, step.direction.image_plane());
+        let spare = DVec3::splat(NEAR_VOXELS * frame.pitch);
+        let (low, high) = (frame.center(low) - spare, frame.center(high) + spare);
+        let corner = |i: usize| {
+            let p = DVec3::from_array([0, 1, 2].map(|a| [low, high][i >> a & 1][a]));
+            plane.across(p).extend(plane.height(p))
+        };
+        let (mut least, mut most) = (corner(0), corner(0));
+        (1..8).map(corner).for_each(|c| (least, most) = (least.min(c), most.max(c)));
+        // The tip may be beside what its edge cuts, and below it.
+        let (aside, below) = (tool.active_radius(), tool.active_length());
+        some.iter_ones().map(|v| frame.center(v)).any(|p| {
+            let at = plane.across(p);
+            let apart = at.distance(at.clamp(least.truncate(), most.truncate()));
+            let over = plane.height(p) - (least.z - below);
+            let is_beside = p.cmpge(low).all() && p.cmple(high).all();
+            is_beside || tool.lower_surface((apart - aside).max(0.0)) <= over
+        })
     }
 
     /// What of a region a step's cutter takes away along its direction.
