@@ -43,9 +43,10 @@ pub fn roughed(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
             if saved(rest.region.count()) < least || run.ctx.out_of_time() {
                 continue;
             }
-            let way = (tool, step.direction);
+            // For the first of two cutters half of what its gaps may be narrower is enough.
+            let way = (tool, step.direction, 0.5);
             let open = with_room(job, &state, &rest.region, before.fixed, way);
-            let of = (&state, &open);
+            let (of, way) = ((&state, &open), (tool, step.direction));
             let region = held_part(run.start.setting, run.start.coarse, of, before.fixed, way);
             if saved(region.count()) < least {
                 continue;
@@ -102,16 +103,19 @@ pub(super) fn divided(
     Ok(Attempt { steps, cuts, ..attempt })
 }
 
-/// What of a region a cutter half a voxel wider reaches beside the target and the fixed points: voxels' middles let
-/// it into gaps that its surfaces are too near each other for, which is not for the first of two cutters.
+/// A gap between voxels is up to so many voxels wider on each side than that between the surfaces.
+pub(super) const WIDER_VOXELS: f64 = 1.0;
+
+/// What of a region a cutter so many voxels wider all around reaches beside the target and the fixed points: voxels'
+/// middles let it into gaps that its surfaces are too near each other for.
 pub(super) fn with_room(
     job: &Job,
     state: &BitGrid,
     region: &BitGrid,
     fixed: &[DVec3],
-    (tool, direction): (&Tool, Direction),
+    (tool, direction, voxels): (&Tool, Direction, f64),
 ) -> BitGrid {
-    let wide = tool.widened(job.frame.pitch / 2.0);
+    let wide = tool.widened(voxels * job.frame.pitch);
     let stays = state.and(&job.target).or(region);
     over_cut(&job.frame, &stays, region, fixed, &wide, direction).region
 }

@@ -16,7 +16,7 @@ use super::cutting::held_part;
 use super::fitting::over;
 use super::reach::{Reach, bounds};
 use super::room::Room;
-use super::roughing::with_room;
+use super::roughing::{WIDER_VOXELS, with_room};
 use super::round::Attempt;
 use crate::access::{Close, Scene};
 use crate::base::DVec3;
@@ -159,7 +159,8 @@ impl<'a> Turn<'_, 'a> {
         let job = self.run.start.setting.job;
         let Some(tool) = self.tool(step) else { return BitGrid::new(state.dims()) };
         let way = (tool, step.direction);
-        let tight = step.region.minus(&with_room(job, state, &step.region, self.fixed, way));
+        let wide = (tool, step.direction, WIDER_VOXELS);
+        let tight = step.region.minus(&with_room(job, state, &step.region, self.fixed, wide));
         tight.minus(&self.room.of_those(&tight, way))
     }
 
