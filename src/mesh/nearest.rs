@@ -170,6 +170,7 @@ pub fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::DAffine3;
 
     #[test]
     fn faces_edges_and_corners_of_a_box() {
@@ -183,10 +184,17 @@ mod tests {
         assert!(q(5.0, 5.0, 5.0).is_none());
     }
 
+    /// On slanted faces as well, whose boxes tell little, and where less than the reach is asked for.
     #[test]
     fn agrees_with_a_full_search() {
-        let m = TriMesh::cuboid(DVec3::ZERO, DVec3::new(3.0, 2.0, 5.0));
-        let index = NearestTriangle::new(&m, 1.0);
+        let upright = TriMesh::cuboid(DVec3::ZERO, DVec3::new(3.0, 2.0, 5.0));
+        agrees(&upright);
+        let axis = DVec3::new(0.4, 0.8, 0.3).normalize();
+        agrees(&upright.transformed(&DAffine3::from_axis_angle(axis, 0.7)).unwrap());
+    }
+
+    fn agrees(m: &TriMesh) {
+        let index = NearestTriangle::new(m, 1.0);
         for i in 0..1000 {
             let f = |k: usize, n: usize| (i * k % n) as f64 / n as f64;
             let p =
@@ -196,6 +204,10 @@ mod tests {
                 .fold(f64::INFINITY, f64::min);
             if full <= 1.0 {
                 assert!((index.query(p).unwrap().distance - full).abs() < 1e-12);
+            }
+            for most in [0.2, 0.6] {
+                let found = index.nearer(p, most).map_or(most, |near| near.distance);
+                assert!((found - full.min(most)).abs() < 1e-12, "{p} {most}");
             }
         }
     }

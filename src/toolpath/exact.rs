@@ -451,4 +451,36 @@ mod tests {
             assert!(free_ones > 8000, "{free_ones}");
         }
     }
+
+    /// Beside the region's columns the tips are those of the whole window; farther off there are none.
+    #[test]
+    fn tips_that_are_wanted_are_those_of_all() {
+        let mut w = pocket("generic-5axis");
+        let frame = w.job.frame;
+        w.job.target_mesh = surface(&w.job.target, &frame).unwrap();
+        w.job.initial_mesh = surface(&w.job.initial, &frame).unwrap();
+        let replay = Replay::of(&w.job, &w.plan).unwrap();
+        let meshes = [&w.job.target_mesh, &w.job.initial_mesh];
+        let surfaces = meshes.map(|m| voxels_near(m, &frame));
+        for tool in w.job.cutters.iter().filter(|t| End::of(t).is_some()) {
+            let ctx = Ctx::quiet();
+            let work = first_step(&w, &replay, &surfaces, tool, &ctx);
+            let tips = |free: &Free| {
+                let exact = Exact::of(&work, free).unwrap().unwrap();
+                exact.heights(&work, free, 0.25, 0.25, 0.0).unwrap().tips
+            };
+            let all = tips(&Free::around(&work, work.after, 12.0));
+            let free = Free::around(&work, work.after, 12.0).beside(&work, 1.0);
+            let some = tips(&free);
+            let mut count = [0, 0];
+            for c in (0..some.lattice.cells()).map(|i| some.lattice.cell_of_index(i)) {
+                let is_wanted = free.wanted.runs(c[1]).iter().any(|r| r.contains(&c[0]));
+                let apart = (some.at(c) - all.at(c)).abs();
+                let want = if is_wanted { apart < 1e-5 } else { some.at(c) == f64::INFINITY };
+                assert!(want, "{} {c:?}: {} {}", tool.name, some.at(c), all.at(c));
+                count[usize::from(is_wanted)] += 1;
+            }
+            assert!(count.iter().all(|n| *n > 500), "{count:?}");
+        }
+    }
 }

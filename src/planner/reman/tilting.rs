@@ -527,4 +527,42 @@ mod tests {
         assert_eq!(in_pocket(&job, &after, Direction::Z), in_pocket(&job, &before, Direction::Z));
         assert_eq!(removed(&job, &after), removed(&job, &before));
     }
+
+    /// What stands aside of a cut leaves it as it is and is not asked about; what stands over it is in its way.
+    #[test]
+    fn only_what_is_near_a_cut_is_in_its_way() {
+        let job = job();
+        with_run(&job, |run| {
+            let room = Room::of(&job);
+            let fixed = run.start.setting.fixed(0, &job.initial);
+            let made_again = Cell::new(0);
+            let turn = Turn { run, room: &room, fixed: &fixed, made_again: &made_again };
+            let slot = BitGrid::from_fn(job.frame.dims, |v| job.frame.center(v).z > 5.0);
+            let mut step = Step {
+                kind: StepKind::Subtractive,
+                tool: CUTTER.into(),
+                direction: Direction::Z,
+                holding: 0,
+                region: BitGrid::new(job.frame.dims),
+                block: 0,
+                origin: Origin { plane: None, action: Some(Action::OC) },
+            };
+            step.region =
+                turn.made(&job.initial, &step, &slot.and(&job.initial.minus(&job.target)));
+            assert!(step.region.count() > 1000);
+            // A ledge of three voxels on the block.
+            for (at, is_near) in [([8.5, 8.0, 8.1], false), ([3.0, 3.9, 8.1], true)] {
+                let mut standing = BitGrid::new(job.frame.dims);
+                for k in [0.0, 1.0, 2.0] {
+                    let p = DVec3::from(at) + DVec3::Y * k * job.frame.pitch;
+                    standing.set(job.frame.voxel_at(p).unwrap(), true);
+                }
+                assert_eq!(turn.is_near(&standing, &step), is_near);
+                let state = job.initial.or(&standing);
+                let asked = turn.made(&state, &step, &step.region);
+                assert_eq!(asked == step.region, !is_near, "{at:?}");
+                assert_eq!(turn.made_beside(&state, &step, &step.region, &standing), asked);
+            }
+        });
+    }
 }
