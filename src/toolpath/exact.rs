@@ -420,8 +420,8 @@ mod tests {
     use crate::voxel::surface;
     use rand::RngExt;
 
-    #[test]
-    fn whether_a_tip_is_free_is_what_the_lowest_says() {
+    /// The pocket's first step for each cutter that has an [`End`].
+    fn with_each_end(check: impl Fn(&Work)) {
         let mut w = pocket("generic-5axis");
         let frame = w.job.frame;
         w.job.target_mesh = surface(&w.job.target, &frame).unwrap();
@@ -432,9 +432,16 @@ mod tests {
         for tool in w.job.cutters.iter().filter(|t| End::of(t).is_some()) {
             let ctx = Ctx::quiet();
             let work = first_step(&w, &replay, &surfaces, tool, &ctx);
-            let free = Free::around(&work, work.after, tool.active_radius());
-            let exact = Exact::of(&work, &free).unwrap().unwrap();
-            let lowest = exact.heights(&work, &free, 0.25, 0.25, 0.0).unwrap();
+            check(&work);
+        }
+    }
+
+    #[test]
+    fn whether_a_tip_is_free_is_what_the_lowest_says() {
+        with_each_end(|work| {
+            let free = Free::around(work, work.after, work.tool.active_radius());
+            let exact = Exact::of(work, &free).unwrap().unwrap();
+            let lowest = exact.heights(work, &free, 0.25, 0.25, 0.0).unwrap();
             let mut rng = crate::base::rng(3, 0);
             let (mut on, mut free_ones) = (None, 0);
             for _ in 0..2000 {
@@ -442,45 +449,40 @@ mod tests {
                 let z = exact.lowest(at, &lowest);
                 for most in [z - 0.5, z - 1e-9, z, z + 1e-9, z + 0.5, 3.0, 9.0, f64::INFINITY] {
                     let is_free = exact.is_free(at, most, &lowest, &mut on);
-                    assert_eq!(is_free, z <= most, "{} at {at}: {z}, {most}", tool.name);
+                    assert_eq!(is_free, z <= most, "{} at {at}: {z}, {most}", work.tool.name);
                     free_ones += usize::from(is_free);
                 }
                 let by = DVec2::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0));
-                assert!(exact.least_guard(at + by, 1.5, &lowest) <= z, "{} at {at}", tool.name);
+                assert!(
+                    exact.least_guard(at + by, 1.5, &lowest) <= z,
+                    "{} at {at}",
+                    work.tool.name
+                );
             }
             assert!(free_ones > 8000, "{free_ones}");
-        }
+        });
     }
 
     /// Beside the region's columns the tips are those of the whole window; farther off there are none.
     #[test]
     fn tips_that_are_wanted_are_those_of_all() {
-        let mut w = pocket("generic-5axis");
-        let frame = w.job.frame;
-        w.job.target_mesh = surface(&w.job.target, &frame).unwrap();
-        w.job.initial_mesh = surface(&w.job.initial, &frame).unwrap();
-        let replay = Replay::of(&w.job, &w.plan).unwrap();
-        let meshes = [&w.job.target_mesh, &w.job.initial_mesh];
-        let surfaces = meshes.map(|m| voxels_near(m, &frame));
-        for tool in w.job.cutters.iter().filter(|t| End::of(t).is_some()) {
-            let ctx = Ctx::quiet();
-            let work = first_step(&w, &replay, &surfaces, tool, &ctx);
+        with_each_end(|work| {
             let tips = |free: &Free| {
-                let exact = Exact::of(&work, free).unwrap().unwrap();
-                exact.heights(&work, free, 0.25, 0.25, 0.0).unwrap().tips
+                let exact = Exact::of(work, free).unwrap().unwrap();
+                exact.heights(work, free, 0.25, 0.25, 0.0).unwrap().tips
             };
-            let all = tips(&Free::around(&work, work.after, 12.0));
-            let free = Free::around(&work, work.after, 12.0).beside(&work, 1.0);
+            let all = tips(&Free::around(work, work.after, 12.0));
+            let free = Free::around(work, work.after, 12.0).beside(work, 1.0);
             let some = tips(&free);
             let mut count = [0, 0];
             for c in (0..some.lattice.cells()).map(|i| some.lattice.cell_of_index(i)) {
                 let is_wanted = free.wanted.runs(c[1]).iter().any(|r| r.contains(&c[0]));
                 let apart = (some.at(c) - all.at(c)).abs();
                 let want = if is_wanted { apart < 1e-5 } else { some.at(c) == f64::INFINITY };
-                assert!(want, "{} {c:?}: {} {}", tool.name, some.at(c), all.at(c));
+                assert!(want, "{} {c:?}: {} {}", work.tool.name, some.at(c), all.at(c));
                 count[usize::from(is_wanted)] += 1;
             }
             assert!(count.iter().all(|n| *n > 500), "{count:?}");
-        }
+        });
     }
 }
