@@ -6,7 +6,7 @@
 //! have no triangles: there the voxels are the obstacle, with their margin; so are they, without one,
 //! where material stands that later steps cut, supports among it. Shank and holder are held against the voxels alone.
 //!
-//! Guarantees: over a surface of M or M* that stands, the tip is exact to rounding at every cell of
+//! Guarantees: over a surface of M or M* that stands, the tip is exact to rounding at every wanted cell of
 //! the lattice. Not guaranteed: within a voxel of the rim between two surfaces.
 
 use super::drop::{DropCutter, End};

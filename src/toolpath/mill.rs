@@ -7,6 +7,8 @@
 //! apart; rest cutting (`rest`) goes once more where region is still uncovered. Into
 //! material the tip goes by a ramp along the pass (see `ramp`).
 //!
+//! H is told over cells within reach of the region alone (`wanted`); over others no tip goes but at the safe height.
+//!
 //! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells), but for
 //! those of a region's last voxels, which are free of the points where they are (see `close_tip`);
 //! no pass is deeper than a step-down under what was cut beside it; rapids only at the safe height

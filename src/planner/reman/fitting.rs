@@ -1,7 +1,7 @@
 //! Fitting: where a cutter has no room beside the surfaces for a cut, a slimmer one makes it.
 //!
-//! Method. Of each cut by a ball end what a cutter a voxel wider on each side does not reach beside the target is looked at on
-//! the target's mesh; what has no room there is crowded (see `room`).
+//! Method. Of each cut by a ball end what a cutter a voxel wider on each side does not reach beside the target is
+//! looked at on the target's mesh; what has no room there is crowded (see `room`).
 //! What of the crowded a slimmer ball end reaches and has room for is left to it, along the same direction and as held
 //! for it. Of a tapered edge's cut what a wider one does not reach counts as crowded too, of a small cut all of it.
 //! What neither can make of the cut before the other is done is its own cutter's again, and where little has to be
@@ -13,8 +13,8 @@
 
 use super::Run;
 use super::cutting::held_part;
-use super::room::Room;
-use super::roughing::{Before, WIDER_VOXELS, divided, with_room};
+use super::room::{Room, WIDER_VOXELS};
+use super::roughing::{Before, divided, with_room};
 use super::round::Attempt;
 use crate::access::over_cut;
 use crate::base::{DVec3, Direction};

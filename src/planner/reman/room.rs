@@ -31,8 +31,12 @@ const APART: f64 = 0.3;
 const STEPS: i32 = 16;
 const FULL_STEPS: i32 = 4;
 
-/// Answers for more voxels than this are not kept: so many take 100 MB.
-const MOST_KNOWN: usize = 4_000_000;
+/// Answers for more voxels than this are not kept: so many take 70 MB.
+const MOST_KNOWN: usize = 1_000_000;
+
+/// A gap between voxels is up to so many voxels wider on each side than that between the surfaces: what a cutter so much
+/// wider does not reach is to be asked about here.
+pub const WIDER_VOXELS: f64 = 1.0;
 
 /// Where cutters have room in a job.
 pub struct Room<'a> {

@@ -27,6 +27,10 @@ const LEAST_SAVING_S: f64 = 900.0;
 /// The same as a share of the cut's time.
 const LEAST_SHARE: f64 = 0.1;
 
+/// How much wider on each side the first of two cutters has to fit, in voxels: half of what gaps may be narrower than
+/// they are between voxels. What it leaves is the other's.
+const WIDER_VOXELS: f64 = 0.5;
+
 /// The plan with each long cut roughed by stouter cutters first, where they save time.
 pub fn roughed(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
     divided(run, attempt, |run, before, step| {
@@ -43,8 +47,7 @@ pub fn roughed(run: &mut Run, attempt: Attempt) -> Result<Attempt, PlanError> {
             if saved(rest.region.count()) < least || run.ctx.out_of_time() {
                 continue;
             }
-            // For the first of two cutters half of what its gaps may be narrower is enough.
-            let way = (tool, step.direction, 0.5);
+            let way = (tool, step.direction, WIDER_VOXELS);
             let open = with_room(job, &state, &rest.region, before.fixed, way);
             let (of, way) = ((&state, &open), (tool, step.direction));
             let region = held_part(run.start.setting, run.start.coarse, of, before.fixed, way);
@@ -102,9 +105,6 @@ pub(super) fn divided(
     run.clock.lap("blocks");
     Ok(Attempt { steps, cuts, ..attempt })
 }
-
-/// A gap between voxels is up to so many voxels wider on each side than that between the surfaces.
-pub(super) const WIDER_VOXELS: f64 = 1.0;
 
 /// What of a region a cutter so many voxels wider all around reaches beside the target and the fixed points: voxels'
 /// middles let it into gaps that its surfaces are too near each other for.

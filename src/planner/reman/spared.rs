@@ -3,7 +3,7 @@
 //! Method. A slender cutter takes along what it reaches by the middles of voxels, skin too, which need not go. In
 //! corners its edge has no room for that on the target's mesh (see `room`): paths nick the walls beside it, or leave
 //! it. Of such skin what is left by slimmer cutters and along other directions is taken out of its cut. Every later
-//! cut is then made again while it stands, and every later deposit laid again.
+//! cut whose tool comes near it is then made again while it stands, and every later deposit laid again.
 //!
 //! Guarantees: those of cuts and deposits; nothing but skin is left standing beside what stood before, so a plan leaves
 //! as much and reuses as much. Where a later step does not get past the skin, what is near goes after all; where that is

@@ -6,8 +6,8 @@
 //! own direction; and what these do not take to cuts of their own right after it, along the directions and with
 //! the cutters that have room for most.
 //!
-//! Guarantees: those of cuts: each cut between that and the one to which it is left is asked again while it stands, and
-//! what it does not reach then goes with it. The state after the run is what it was. Not guaranteed: that there is
+//! Guarantees: those of cuts: each cut between that and the one to which it is left is asked again while it stands, but
+//! for those whose tool comes nowhere near it, and what it does not reach then goes with it. The state after the run is what it was. Not guaranteed: that there is
 //! such a direction; that all cuts are looked at where there are many; that all that goes with the crowded has room:
 //! of it a quarter as many as those may have none.
 
@@ -15,8 +15,8 @@ use super::Run;
 use super::cutting::held_part;
 use super::fitting::over;
 use super::reach::{Reach, bounds};
-use super::room::Room;
-use super::roughing::{WIDER_VOXELS, with_room};
+use super::room::{Room, WIDER_VOXELS};
+use super::roughing::with_room;
 use super::round::Attempt;
 use crate::access::{Close, Scene};
 use crate::base::DVec3;
