@@ -14,7 +14,7 @@ use super::image::{Cell, Image, Lattice, Profile};
 use super::mill::{Free, Work};
 use super::near::NEAR_PITCH;
 use super::pyramid::Maxima;
-use super::standing::standing;
+use super::standing::{Rim, standing};
 use crate::base::{Cancelled, DVec2, DVec3};
 use rayon::prelude::*;
 pub(super) struct Exact {
@@ -93,8 +93,9 @@ impl Exact {
         let is_near = |low: DVec2, high: DVec2| free.wanted.any_within(low - margin, high + margin);
         let mut triangles = Vec::new();
         let wholes = [&work.job.target, &outside];
-        for ((mesh, solid), whole) in meshes.iter().zip(&stands).zip(wholes) {
-            triangles.extend(standing(mesh, [solid, whole], work, &is_near));
+        let rims = [Rim::Kept, Rim::Parted];
+        for (((mesh, solid), whole), rim) in meshes.iter().zip(&stands).zip(wholes).zip(rims) {
+            triangles.extend(standing(mesh, [solid, whole], work, &is_near, rim));
         }
         let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
         let plane = lattice.plane;
