@@ -3,7 +3,7 @@
 //! Method: a gap hardly wider than the cutter has room for it on one line, which need not run over the cells'
 //! middles. Around a voxel that the lattice left, places much closer together than cells are tried, the
 //! nearest first, each with the height over the meshes. Where the edge may go into them, the place from which it
-//! goes least deep is looked for, ever nearer to the best one.
+//! goes least deep is looked for, ever nearer to the best one, be that too deep at first.
 //!
 //! Guarantees: a tip is no lower than the lowest free one over the meshes, or with a nick goes no deeper into them, its edge holds no middle of a voxel that
 //! stays, moved to its cell, and comes within the slack of the one to cut, aside and below. Not guaranteed: that a gap with no more room than the places are apart is found.
@@ -21,14 +21,19 @@ const APART: f64 = 0.25;
 const MOST_PER_RADIUS: f64 = 12.0;
 
 /// How much less deep a cutter has to go into the surfaces for a place to be better than another, mm.
-const SHALLOWER_MM: f64 = 0.005;
+const SHALLOWER_MM: f64 = 0.001;
 
-/// Looks around the best place, closer by half where nothing better is found.
+/// Looks around the best place, each closer by half if nothing better is found, and as many at most that find
+/// something: along a slanted wall the best place is far.
 const CLOSER_LOOKS: usize = 6;
+const MOVES: usize = 12;
 
 /// From places where the edge goes into the meshes a voxel is met within this share of the slack: no deeper than it
 /// must, but for rounding.
-const NEARLY: f64 = 0.9;
+const NEARLY: f64 = 0.99;
+
+/// The edge is looked at without its outermost, as a share of its end's radius no more than this.
+const MOST_INSET: f64 = 0.9;
 
 /// Voxels looked at together: more keep more threads busy, fewer know more of the tips found before.
 const AT_A_TIME: usize = 64;
@@ -85,30 +90,43 @@ impl Between<'_> {
     }
 
     /// The tip from which a voxel is met going least deep into the meshes, of all the places and of
-    /// those around the best of them.
+    /// those around the best of them; none where it goes too deep.
     fn shallowest(&self, voxel: DVec3, places: &[DVec2]) -> Option<DVec3> {
         /// A place, how deep the edge goes into the meshes there, mm, and the tip.
         type Found = (DVec2, f64, DVec3);
         let slack = NEARLY * self.slack;
+        // A place from which it goes too deep may have one beside it from which it does not.
+        let beside = (self.nick.meshes + self.apart()).min(MOST_INSET * self.tool.tip_radius());
+        let most = beside.max(self.nick.meshes);
         let mut on = None;
         // The place if it is better than the best so far.
         let mut better = |by: DVec2, best: Option<Found>| -> Option<Found> {
-            let mut nick = best.map_or(self.nick.meshes, |(_, nick, _)| nick - SHALLOWER_MM);
-            let mut found = None;
-            while nick >= 0.0
-                && let Some(tip) = self.tip_at((voxel, by), (slack, nick), &mut on)
-            {
-                found = Some((by, nick, tip));
-                nick -= SHALLOWER_MM;
+            let mut going = |nick: f64| {
+                let tip = self.tip_at((voxel, by), (slack, nick), &mut on);
+                tip.map(|tip| (by, nick, tip))
+            };
+            let most = best.map_or(most, |(_, nick, _)| nick - SHALLOWER_MM);
+            let mut found = if most >= 0.0 { going(most)? } else { return None };
+            if let Some(not_at_all) = going(0.0) {
+                return Some(not_at_all);
             }
-            found
+            let mut too_little = 0.0;
+            while found.1 - too_little > SHALLOWER_MM {
+                let nick = (found.1 + too_little) / 2.0;
+                match going(nick) {
+                    Some(less) => found = less,
+                    None => too_little = nick,
+                }
+            }
+            Some(found)
         };
         let mut best = None;
         for by in places {
             best = better(*by, best).or(best);
         }
         let mut step = self.apart() / 2.0;
-        for _ in 0..CLOSER_LOOKS {
+        let (mut looks, mut moves) = (0, 0);
+        while looks < CLOSER_LOOKS && moves < MOVES {
             let (middle, ..) = best?;
             let mut moved = false;
             for (i, j) in (-2..=2).flat_map(|j| (-2..=2).map(move |i| (i, j))) {
@@ -116,11 +134,13 @@ impl Between<'_> {
                     (best, moved) = (Some(found), true);
                 }
             }
-            if !moved {
-                step /= 2.0;
+            if moved {
+                moves += 1;
+            } else {
+                (looks, step) = (looks + 1, step / 2.0);
             }
         }
-        best.map(|(.., tip)| tip)
+        best.filter(|(_, nick, _)| *nick <= self.nick.meshes).map(|(.., tip)| tip)
     }
 
     /// The tip at a place beside a voxel from which its edge comes within `slack` of the voxel's middle, going no
@@ -230,6 +250,8 @@ mod tests {
             (8..40).map(|k| DVec3::new(f64::from(k) * 0.5 + 0.25, 10.25, 6.75)).collect();
         let count = |nick: f64| between(nick).tips(&inside, &Ctx::quiet()).unwrap();
         assert!(count(0.0).is_empty() && count(0.02).is_empty());
+        // From none of the places as they are it goes in less than 0.07 mm deep, but beside them.
+        assert!(!count(0.035).is_empty());
         let tips = count(0.2);
         assert!(!tips.is_empty());
         for tip in tips {

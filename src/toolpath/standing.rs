@@ -134,7 +134,7 @@ impl Judge<'_> {
             let pull = |p: DVec3| p.lerp(middle, 0.1);
             let found = [a, b, c, d, e, f, middle].map(|p| (self.stands)(pull(p)));
             // Of a larger piece the rim may cross a part that no point was asked of.
-            let is_told = self.rim == Rim::Parted || found[0] || longest <= self.least;
+            let is_told = self.rim == Rim::Parted || found[0] || longest <= self.least / 2.0;
             if is_told && found.iter().all(|s| *s == found[0]) {
                 return found[0];
             }
