@@ -2,18 +2,21 @@
 //!
 //! Method. A slender cutter takes along what it reaches by the middles of voxels, skin too, which need not go. In
 //! corners its edge has no room for that on the target's mesh (see `room`): paths nick the walls beside it, or leave
-//! it. Of such skin what is left by slimmer cutters and along other directions is taken out of its cut. Every later
-//! cut whose tool comes near it is then made again while it stands, and every later deposit laid again.
+//! it. Of such skin what is left by slimmer cutters and along other directions is taken out of its cut, but for what
+//! stands over the rest of the cut, or so near it that this is out of reach then. Every later
+//! cut whose tool comes near it is then made again while it stands, and every later deposit laid again. A cut of which
+//! nothing is left is none.
 //!
 //! Guarantees: those of cuts and deposits; nothing but skin is left standing beside what stood before, so a plan leaves
 //! as much and reuses as much. Where a later step does not get past the skin, what is near goes after all; where that is
 //! of no use, all stays as it was. Not guaranteed: that all skin without room is found.
 
 use super::Run;
+use super::fitting::over;
 use super::laying::{Layer, Way};
 use super::room::Room;
 use super::round::Attempt;
-use super::tilting::Turn;
+use super::tilting::{BESIDE_RADII, Turn, is_too_much};
 use crate::base::DVec3;
 use crate::machine::Tool;
 use crate::plan::{Step, StepKind};
@@ -21,7 +24,7 @@ use crate::planner::PlanError;
 use crate::voxel::{BitGrid, distance_within};
 use std::cell::Cell;
 
-/// Fewer voxels are left with their cut.
+/// Fewer voxels are left with their cut, but where they are more of it than paths may leave.
 const LEAST_VOXELS: usize = 8;
 
 /// So many times as much may stand with what has no room, as what lies under it.
@@ -52,13 +55,26 @@ pub fn spared(run: &mut Run, room: &Room, attempt: Attempt) -> Result<Attempt, P
             Sparing::Made(steps) => {
                 let mut stock = job.initial.clone();
                 steps[..attempt.cuts].iter().for_each(|s| stock.subtract(&s.region));
+                let (steps, cuts) = without_empty(steps, attempt.cuts);
                 run.clock.lap("blocks");
-                return Ok(Attempt { steps, stock, ..attempt });
+                return Ok(Attempt { steps, cuts, stock, ..attempt });
             }
         }
     }
     run.clock.lap("blocks");
     Ok(attempt)
+}
+
+/// Steps but for those of which nothing is left to make, and how many of the first so many these are.
+fn without_empty(steps: Vec<Step>, first: usize) -> (Vec<Step>, usize) {
+    let has_any = |s: &Step| !s.region.is_empty();
+    let first = steps[..first].iter().filter(|s| has_any(s)).count();
+    let mut steps: Vec<Step> = steps.into_iter().filter(has_any).collect();
+    for kind in [StepKind::Subtractive, StepKind::Additive] {
+        let of_kind = steps.iter_mut().filter(|s| s.kind == kind);
+        of_kind.enumerate().for_each(|(block, s)| s.block = block);
+    }
+    (steps, first)
 }
 
 /// What comes of steps while skin stands.
@@ -115,9 +131,7 @@ fn sparing(
         }
     }
     tracing::debug!(voxels = standing.count(), "spared");
-    // A cut has to have something left to cut.
-    let is_whole = made.iter().all(|s| !s.region.is_empty());
-    Ok(match !standing.is_empty() && is_whole {
+    Ok(match !standing.is_empty() {
         true => Sparing::Made(made),
         false => Sparing::Nothing,
     })
@@ -162,13 +176,21 @@ impl Turn<'_, '_> {
         spare: &BitGrid,
         standing: &BitGrid,
     ) -> BitGrid {
-        let its = self.without_room(state, step).and(spare);
-        if its.count() >= LEAST_VOXELS {
+        let mut its = self.without_room(state, step).and(spare);
+        let is_worth_it = |its: &BitGrid| its.count() >= LEAST_VOXELS || is_too_much(its, step);
+        for radii in BESIDE_RADII.map(Some).into_iter().chain([None]) {
+            if !is_worth_it(&its) {
+                break;
+            }
             let region = self.made(state, step, &step.region.minus(&its));
             let lost = step.region.minus(&region);
-            if lost.is_subset_of(spare) && lost.count() <= MOST_BEHIND * its.count() {
+            let missed = lost.minus(spare);
+            if missed.is_empty() && lost.count() <= MOST_BEHIND * its.count() {
                 return region;
             }
+            let (Some(tool), Some(radii)) = (self.tool(step), radii) else { break };
+            let (frame, way) = (&self.run.start.setting.job.frame, (tool, step.direction));
+            its.subtract(&over(frame, &its, &missed, way, radii));
         }
         match standing.is_empty() {
             true => step.region.clone(),
@@ -176,11 +198,18 @@ impl Turn<'_, '_> {
         }
     }
 
-    /// What of a slender cutter's cut it has no room for. Of what the usual ones take paths leave little.
+    /// What of a slender cutter's cut it has no room for; of what the usual ones take only more than paths may leave.
     fn without_room(&self, state: &BitGrid, step: &Step) -> BitGrid {
         let is_usual = |t: &str| self.run.start.setting.usual_cutters().iter().any(|u| u.name == t);
-        match self.tool(step).filter(|t| Room::is_told_of(t) && !is_usual(&t.name)) {
+        match self.tool(step).filter(|t| Room::is_told_of(t)) {
             None => BitGrid::new(state.dims()),
+            Some(tool) if is_usual(&tool.name) => {
+                let crowded = self.crowded(state, step);
+                match is_too_much(&crowded, step) {
+                    true => crowded,
+                    false => BitGrid::new(state.dims()),
+                }
+            }
             // How wide a tapered edge is where it passes the surface is not told by its end.
             Some(tool) if tool.is_tapered() => {
                 step.region.minus(&self.room.of_those(&step.region, (tool, step.direction)))
@@ -199,24 +228,25 @@ mod tests {
     use crate::plan::{Action, Job, Origin};
     use crate::voxel::{Frame, voxelise};
 
-    /// A block with a slot of 1.2 mm into which a cutter of 1.4 mm fits by the middles of voxels, 3 mm deep; under it, if so,
-    /// a pocket 3 mm wide and 3 mm high that is open nowhere else. The tolerance makes skin of all of the slot.
-    fn job(with_pocket: bool) -> Job {
+    /// A block with a slot of 1.2 mm along x into which a cutter of 1.4 mm fits by the middles of voxels, 3 mm deep; under
+    /// it, up to some x, a pocket 3 mm wide and 3 mm high that is open nowhere else. The tolerance makes skin of all of
+    /// the slot.
+    fn job(pocket_to: Option<f64>) -> Job {
         let boxed = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
-        let beside = |low: f64, high: f64, [y, to]: [f64; 2]| {
+        let beside = |low: f64, high: f64, [y, to]: [f64; 2], x_to: f64| {
             [
                 boxed([0.0, 0.0, low], [9.0, y, high]),
                 boxed([0.0, to, low], [9.0, 9.0, high]),
                 boxed([0.0, y, low], [2.0, to, high]),
-                boxed([7.0, y, low], [9.0, to, high]),
+                boxed([x_to, y, low], [9.0, to, high]),
             ]
         };
         let mut all = vec![boxed([0.0, 0.0, 0.0], [9.0, 9.0, 2.0])];
-        match with_pocket {
-            true => all.extend(beside(2.0, 5.0, [3.0, 6.0])),
-            false => all.push(boxed([0.0, 0.0, 2.0], [9.0, 9.0, 5.0])),
+        match pocket_to {
+            Some(x_to) => all.extend(beside(2.0, 5.0, [3.0, 6.0], x_to)),
+            None => all.push(boxed([0.0, 0.0, 2.0], [9.0, 9.0, 5.0])),
         }
-        all.extend(beside(5.0, 8.0, [4.0, 5.2]));
+        all.extend(beside(5.0, 8.0, [4.0, 5.2], 7.0));
         let target = TriMesh::joined(&all);
         let frame = Frame { pitch: 0.25, dims: [42, 42, 40], origin: DVec3::splat(-0.75) };
         let solid = |mesh: &TriMesh| voxelise(mesh, &frame, &Ctx::quiet()).unwrap();
@@ -228,17 +258,17 @@ mod tests {
         job
     }
 
-    /// The cuts from above of what lies over a height, then of the rest, and what comes of them.
-    fn made(job: &Job) -> (Vec<Step>, Sparing) {
+    /// The cuts from above of what lies over each of some heights, one after the other, and what comes of them.
+    fn made(job: &Job, heights: &[f64]) -> (Vec<Step>, Sparing) {
         with_run(job, |run| {
             let room = Room::of(job);
             let fixed = run.start.setting.fixed(0, &job.initial);
             let made_again = Cell::new(0);
             let turn = Turn { run, room: &room, fixed: &fixed, made_again: &made_again };
             let (mut state, mut steps) = (job.initial.clone(), Vec::new());
-            let over = BitGrid::from_fn(job.frame.dims, |v| job.frame.center(v).z > 5.0);
-            let removed = job.initial.minus(&job.target);
-            for part in [removed.and(&over), removed.minus(&over)] {
+            for height in heights {
+                let over = BitGrid::from_fn(job.frame.dims, |v| job.frame.center(v).z > *height);
+                let part = state.minus(&job.target).and(&over);
                 let mut step = Step {
                     kind: StepKind::Subtractive,
                     tool: "ball-1.4x24".into(),
@@ -263,14 +293,14 @@ mod tests {
     /// Of a slot narrower than its cutter the lower part used to be cut at the price of its walls.
     #[test]
     fn skin_in_a_slot_without_room_stands() {
-        let mut job = job(false);
+        let mut job = job(None);
         // Half of the slot is open, so the cut has something to take.
         let wide = BitGrid::from_fn(job.frame.dims, |v| {
             let p = job.frame.center(v);
             (2.0..4.0).contains(&p.x) && (2.5..6.5).contains(&p.y) && (5.0..8.0).contains(&p.z)
         });
         job.target.subtract(&wide);
-        let (steps, made) = made(&job);
+        let (steps, made) = made(&job, &[5.0, 0.0]);
         let Sparing::Made(after) = made else { panic!("nothing was spared") };
         let slot = |v: &[usize; 3]| (4.5..6.5).contains(&job.frame.center(*v).x);
         let in_slot = |s: &[Step]| -> usize {
@@ -284,9 +314,53 @@ mod tests {
     /// What lies under it has to go, and only through it.
     #[test]
     fn skin_in_the_way_of_a_later_cut_goes() {
-        let (steps, made) = made(&job(true));
+        let (steps, made) = made(&job(Some(7.0)), &[5.0, 0.0]);
         assert!(steps.len() == 2 && steps[1].region.count() > 100);
         let Sparing::Blocked(by) = made else { panic!("it is not in the way") };
         assert!(!by.is_empty());
+    }
+
+    /// What stands over the rest of its cut goes, the others stand: once all of it went.
+    #[test]
+    fn skin_over_the_rest_of_its_cut_goes_alone() {
+        let job = job(Some(4.5));
+        let (steps, made) = made(&job, &[0.0]);
+        let Sparing::Made(after) = made else { panic!("nothing was spared") };
+        let count = |s: &[Step], is_in: &dyn Fn(DVec3) -> bool| -> usize {
+            let its =
+                |s: &Step| s.region.iter_ones().filter(|v| is_in(job.frame.center(*v))).count();
+            s.iter().map(its).sum()
+        };
+        let (over, beside) = (|p: DVec3| p.z > 5.0 && p.x < 4.0, |p: DVec3| p.x > 5.5);
+        assert!(count(&steps, &over) > 100 && count(&steps, &beside) > 100);
+        assert!(2 * count(&after, &over) > count(&steps, &over));
+        assert!(4 * count(&after, &beside) < count(&steps, &beside));
+        assert_verifies(&job, after);
+    }
+
+    /// A cut of which all is skin without room is none; what is left is numbered anew.
+    #[test]
+    fn a_cut_of_which_nothing_is_left_is_none() {
+        let region = |any: bool| {
+            let mut region = BitGrid::new([2, 1, 1]);
+            region.set([0, 0, 0], any);
+            region
+        };
+        let step = |kind: StepKind, block: usize, any: bool| Step {
+            kind,
+            tool: "ball-1.4x24".into(),
+            direction: Direction::Z,
+            holding: 0,
+            region: region(any),
+            block,
+            origin: Origin { plane: None, action: None },
+        };
+        let (cut, laid) = (StepKind::Subtractive, StepKind::Additive);
+        let all =
+            [(cut, 0, true), (cut, 1, false), (cut, 2, true), (laid, 0, true), (cut, 3, true)];
+        let all = all.map(|(kind, block, any)| step(kind, block, any));
+        let (left, first) = without_empty(all.to_vec(), 3);
+        assert_eq!(first, 2);
+        assert_eq!(left.iter().map(|s| s.block).collect::<Vec<_>>(), [0, 1, 0, 2]);
     }
 }

@@ -44,7 +44,7 @@ const STILL_CROWDED: usize = 4;
 const MOST_BEHIND: usize = 1000;
 
 /// What lies over what is out of a later cut's reach, and so many radii beside that, stays with its own cut.
-const BESIDE_RADII: [f64; 2] = [1.0, 2.0];
+pub(super) const BESIDE_RADII: [f64; 2] = [1.0, 2.0];
 
 /// Later cuts are asked so far ahead.
 const AHEAD: usize = 16;
@@ -103,10 +103,14 @@ pub fn tilted(run: &mut Run, room: &Room, attempt: Attempt) -> Result<Attempt, P
     Ok(Attempt { steps, cuts, ..attempt })
 }
 
-/// Whether paths may not leave so many voxels of a cut.
-fn is_too_much(crowded: &BitGrid, step: &Step) -> bool {
-    let n = crowded.count();
-    n >= LEAST_VOXELS && n as f64 > SPARE_SHARE * step.region.count() as f64
+/// Whether so many voxels are more of a cut than paths may leave.
+pub(super) fn is_too_much(crowded: &BitGrid, step: &Step) -> bool {
+    crowded.count() as f64 > SPARE_SHARE * step.region.count() as f64
+}
+
+/// Whether they are more than that, and enough to cut them otherwise.
+fn is_worth_it(crowded: &BitGrid, step: &Step) -> bool {
+    crowded.count() >= LEAST_VOXELS && is_too_much(crowded, step)
 }
 
 /// What comes of cuts while voxels of the first stand.
@@ -135,9 +139,9 @@ impl<'a> Turn<'_, 'a> {
             self.run.ctx.check()?;
             if !self.run.ctx.out_of_time() && self.made_again.get() < MOST_MADE {
                 let crowded = self.crowded(&state, &steps[i]);
-                if is_too_much(&crowded, &steps[i]) {
+                if is_worth_it(&crowded, &steps[i]) {
                     let left = self.left_to_later(&state, &mut steps[i..], crowded)?;
-                    if is_too_much(&left, &steps[i]) {
+                    if is_worth_it(&left, &steps[i]) {
                         let more = self.tilted_cuts(&state, &mut steps[i], left)?;
                         steps.splice(i + 1..i + 1, more);
                     }
@@ -285,7 +289,7 @@ impl<'a> Turn<'_, 'a> {
         let mut ways = bounds(&scene, &crowded, &slim, &directions, self.run.ctx)?;
         let mut cuts = vec![step.clone()];
         for _ in 0..MOST_TRIES {
-            if !is_too_much(&crowded, &cuts[0]) {
+            if !is_worth_it(&crowded, &cuts[0]) {
                 break;
             }
             self.run.ctx.check()?;
