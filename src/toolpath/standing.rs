@@ -90,7 +90,7 @@ pub(super) fn standing(
             };
             let judge = Judge {
                 judged: JUDGED_PITCH * h,
-                least: h,
+                least: if rim == Rim::Kept { h / 2.0 } else { h },
                 rim,
                 stands: &stands,
                 may_stand: &may_stand,
@@ -134,11 +134,11 @@ impl Judge<'_> {
             let pull = |p: DVec3| p.lerp(middle, 0.1);
             let found = [a, b, c, d, e, f, middle].map(|p| (self.stands)(pull(p)));
             // Of a larger piece the rim may cross a part that no point was asked of.
-            let is_told = self.rim == Rim::Parted || found[0] || longest <= self.least / 2.0;
+            let is_told = self.rim == Rim::Parted || found[0] || longest <= self.least;
             if is_told && found.iter().all(|s| *s == found[0]) {
                 return found[0];
             }
-            if longest <= self.least / 2.0 {
+            if longest <= self.least {
                 return true;
             }
         }
