@@ -185,8 +185,11 @@ impl Turn<'_, '_> {
             let region = self.made(state, step, &step.region.minus(&its));
             let lost = step.region.minus(&region);
             let missed = lost.minus(spare);
-            if missed.is_empty() && lost.count() <= MOST_BEHIND * its.count() {
-                return region;
+            if missed.is_empty() {
+                if lost.count() <= MOST_BEHIND * its.count() {
+                    return region;
+                }
+                break;
             }
             let (Some(tool), Some(radii)) = (self.tool(step), radii) else { break };
             let (frame, way) = (&self.run.start.setting.job.frame, (tool, step.direction));

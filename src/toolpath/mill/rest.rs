@@ -155,8 +155,8 @@ impl Stage<'_> {
             let voxels = self.not_cut(left.voxels.clone(), &self.moves, slack);
             let mut lumps = Left { voxels, known: self.moves.len(), slack };
             if share == LUMP_SHARE {
-                // What asks for more is a step between voxels, of which their own heights know better: on a bracket they
-                // cost 0.06 mm where ever deeper nicks took 0.1.
+                // Deeper nicks are no better than the voxels' own heights, which come next: on a bracket these cost
+                // 0.06 mm, and nicks 0.1.
                 for nick in self.nicks().filter(|nick| nick.meshes <= GOUGE_MM) {
                     self.between_cells(&mut lumps, nick)?;
                 }
