@@ -262,7 +262,7 @@ pub fn deviation_note(d: &Deviation) -> String {
          deeper than {:.2} mm (most {:.2} mm), {:.1} % left higher than roughing leaves (most {:.2} mm), \
          {:.1} % more where no such cutter comes nearer; beads at most {:.2} mm outside.",
         100.0 * d.gouged,
-        gcode::GOUGE_MM,
+        toolpath::GOUGE_MM,
         d.gouge_mm,
         100.0 * d.left,
         d.excess_mm,

@@ -31,7 +31,7 @@ use crate::base::{Ctx, DVec3, Direction, ImagePlane};
 use crate::machine::Tool;
 use crate::mesh::{NearestTriangle, TriMesh};
 use crate::plan::{Job, Plan, Step, StepKind};
-use crate::toolpath::{End, Replay, Swept, ToolpathError, facets};
+use crate::toolpath::{End, GOUGE_MM, Replay, Swept, ToolpathError, facets};
 use crate::voxel::BitGrid;
 use rayon::prelude::*;
 use std::io::{self, Write};
@@ -102,9 +102,6 @@ pub struct Gouge {
     pub at: DVec3,
     pub line: usize,
 }
-
-/// Deeper cuts into the target are gouges, mm.
-pub const GOUGE_MM: f64 = 0.05;
 
 /// Measures a program's text; it should have passed its check.
 ///

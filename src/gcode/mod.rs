@@ -32,7 +32,7 @@ mod words;
 
 pub use beads::{LEAST_FILLED, MOST_FILLED};
 pub use check::{check, check_program};
-pub use deviation::{Deviation, Facet, GOUGE_MM, Gouge, deviation};
+pub use deviation::{Deviation, Facet, Gouge, deviation};
 pub use dialect::{Comments, Dialect, Dwell, Extrusion, RS274};
 pub use post::{PostError, post};
 pub use program::{Checked, Program};

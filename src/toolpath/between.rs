@@ -23,8 +23,8 @@ const MOST_PER_RADIUS: f64 = 12.0;
 /// How much less deep a cutter has to go into the surfaces for a place to be better than another, mm.
 const SHALLOWER_MM: f64 = 0.001;
 
-/// Looks around the best place, each closer by half if nothing better is found, and as many at most that find
-/// something: along a slanted wall the best place is far.
+/// Looks around the best place that find nothing better, after each of which the next are closer by half, and looks at most
+/// that find something: along a slanted wall the best place is far.
 const CLOSER_LOOKS: usize = 6;
 const MOVES: usize = 12;
 

@@ -60,6 +60,9 @@ use process::{Milling, Printing};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
+/// Deeper cuts into the target are gouges, mm.
+pub const GOUGE_MM: f64 = 0.05;
+
 /// Why a step has no paths.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum ToolpathError {

@@ -10,6 +10,7 @@
 //! Guarantees: what is off the list was cut, by tips a quarter of a voxel apart on its way. Not guaranteed: an
 //! empty list.
 
+use super::super::GOUGE_MM;
 use super::super::between::{Between, cuts};
 use super::super::cells::Cells;
 use super::super::close_tip::Stays;
@@ -41,11 +42,8 @@ const LUMP_SHARE: f64 = 0.9;
 /// counts as a gouge, rounding of three decimals included.
 const NICK_MM: f64 = 0.045;
 
-/// Deeper counts as a gouge, mm.
-const GOUGE_MM: f64 = 0.05;
-
-/// Where that is not enough, ever deeper: in a gap as wide as its cutter a tenth is mostly too little for a cell's tip. Each
-/// step that is enough is one less that goes deeper than it must.
+/// Where that is not enough, ever deeper, mm: in small steps, since of one that is more than enough much is cut deeper
+/// than it must be. The second is a gouge less the rounding of three decimals.
 const NICKS_MM: [f64; 9] = [NICK_MM, 0.049, 0.055, 0.065, 0.08, 0.1, 0.12, 0.15, 0.2];
 
 /// How far a cutter may pass the middles of voxels that go later before it nicks the target deeper, in pitches and as
@@ -167,16 +165,9 @@ impl Stage<'_> {
         Ok(())
     }
 
-    /// How deep a tip between the cells may go, the least first; no deeper into the meshes than half its end's radius.
     fn nicks(&self) -> impl Iterator<Item = Nick> + use<> {
-        let (h, tolerance) = (self.work.frame.pitch, self.work.job.rules.tolerance_mm);
-        let checked = PASSING_SHARE * FRAC_1_SQRT_2 * (tolerance - h / 2.0);
-        let passing = (PASSING_PITCH * h).min(checked).max(0.0);
-        let most = self.work.tool.tip_radius() / 2.0;
-        let alone = Nick { meshes: NICK_MM, passing: 0.0 };
-        let nicks = NICKS_MM.into_iter().map(move |meshes| Nick { meshes, passing });
-        let alone = (passing > 0.0).then_some(alone);
-        alone.into_iter().chain(nicks).filter(move |nick| nick.meshes <= most)
+        let work = self.work;
+        nicks(work.tool, work.frame.pitch, work.job.rules.tolerance_mm)
     }
 
     /// Cuts each of the last voxels from a tip of its own.
@@ -321,6 +312,18 @@ impl Stage<'_> {
     }
 }
 
+/// How deep a tip between the cells may go, the least first; no deeper into the meshes than half its end's radius, by
+/// which a tapered end is wide at its tip. On voxels of a pitch, for a surface tolerance, mm.
+fn nicks(tool: &Tool, pitch: f64, tolerance: f64) -> impl Iterator<Item = Nick> + use<> {
+    let checked = PASSING_SHARE * FRAC_1_SQRT_2 * (tolerance - pitch / 2.0);
+    let passing = (PASSING_PITCH * pitch).min(checked).max(0.0);
+    let most = tool.tip_radius() / 2.0;
+    let alone = Nick { meshes: NICK_MM, passing: 0.0 };
+    let nicks = NICKS_MM.into_iter().map(move |meshes| Nick { meshes, passing });
+    let alone = (passing > 0.0).then_some(alone);
+    alone.into_iter().chain(nicks).filter(move |nick| nick.meshes <= most)
+}
+
 /// Those of some points that the lowest tip over each cell does not cut: nearly all that others cut is cut by
 /// these. All as (u, v, height); a point is cut that comes within `slack` of the edge.
 fn hardly_cut(
@@ -382,6 +385,19 @@ mod tests {
     use crate::machine::{Machine, ToolKind};
     use crate::voxel::Frame;
     use rand::RngExt as _;
+
+    /// A tapered end was let go in by half of its widest radius, which may be more than all of its tip.
+    #[test]
+    fn no_end_goes_in_deeper_than_half_its_tip() {
+        let machine = Machine::builtin("generic-5axis").unwrap();
+        let tools = machine.tools_of(ToolKind::Subtractive);
+        for tool in &tools {
+            let deepest = nicks(tool, 0.5, 0.75).map(|n| n.meshes).fold(0.0, f64::max);
+            assert!(deepest <= tool.tip_radius() / 2.0 && deepest >= NICK_MM, "{}", tool.name);
+        }
+        let finest = tools.iter().find(|t| t.is_tapered() && t.tip_radius() < 0.4).unwrap();
+        assert!(nicks(finest, 0.5, 0.75).all(|n| n.meshes <= 0.15));
+    }
 
     /// Along a tilted direction points lie beside the middles of their cells as tips do. Where only the tips' places were
     /// reckoned with, points a third of a cell beyond the edge's reach went for cut, and their step failed
