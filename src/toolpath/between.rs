@@ -6,7 +6,7 @@
 //! goes least deep is looked for, ever nearer to the best one, be that too deep at first.
 //!
 //! Guarantees: a tip is no lower than the lowest free one over the meshes, or with a nick goes no deeper into them, its edge holds no middle of a voxel that
-//! stays, moved to its cell, and comes within the slack of the one to cut, aside and below. Not guaranteed: that a gap with no more room than the places are apart is found.
+//! stays, and comes within the slack of the one to cut, aside and below. Not guaranteed: that a gap with no more room than the places are apart is found.
 
 use super::exact::{Exact, Lowest, Nick};
 use super::mill::Free;

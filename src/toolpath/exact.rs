@@ -4,16 +4,17 @@
 //! outside M* on M from M's; triangles that only partly stand are divided until their pieces do or
 //! do not. The end of the cutter rests on those by drop-cutter. Faces that cuts leave inside M
 //! have no triangles: there the voxels are the obstacle, with their margin; so are they, without one,
-//! where material stands that later steps cut, supports among it. Shank and holder are held against the voxels alone.
+//! where material stands that later steps cut, supports among it. The tips of cells keep off the middles of the cells
+//! that these obstacles lie in, tips between them off the obstacles where they are. Shank and holder are held against the voxels alone.
 //!
 //! Guarantees: over a surface of M or M* that stands, the tip is exact to rounding at every wanted cell of
 //! the lattice. Not guaranteed: within a voxel of the rim between two surfaces.
 
+use super::columns::Columns;
 use super::drop::{DropCutter, End};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::mill::{Free, Work};
 use super::near::NEAR_PITCH;
-use super::pyramid::Maxima;
 use super::standing::{Rim, standing};
 use crate::base::{Cancelled, DVec2, DVec3};
 use rayon::prelude::*;
@@ -63,15 +64,21 @@ impl Lowest {
     }
 }
 
-/// Obstacles that no mesh stands for, and the highest of them block by block.
+/// Obstacles that no mesh stands for: as the lattice's cells have them, and where they are.
 struct Bare {
     image: Image,
-    blocks: Maxima,
+    columns: Columns,
 }
 
 impl Bare {
-    fn of(image: Image) -> Bare {
-        Bare { blocks: Maxima::of(&image), image }
+    fn of(mut image: Image, points: &[DVec3]) -> Bare {
+        points.iter().for_each(|p| {
+            image.raise(*p);
+        });
+        let plane = image.lattice.plane;
+        let seen = |p: &DVec3| plane.across(*p).extend(plane.height(*p));
+        let seen: Vec<DVec3> = points.iter().map(seen).collect();
+        Bare { columns: Columns::over(image.lattice, &seen), image }
     }
 }
 
@@ -108,13 +115,10 @@ impl Exact {
                 side.is_none_or(|side| !work.surfaces[side].get(*v))
             })
             .collect();
-        let (mut faces, mut passing) = (free.empty(), free.empty());
+        let (mut faces, mut passing) = (work.fixed.to_vec(), Vec::new());
         for (v, p) in &bare {
-            let image = if work.job.target.get(*v) { &mut faces } else { &mut passing };
-            image.raise(*p);
-        }
-        for p in work.fixed {
-            faces.raise(*p);
+            let points = if work.job.target.get(*v) { &mut faces } else { &mut passing };
+            points.push(*p);
         }
         let drop = DropCutter::new(triangles, end.radius());
         let mut resting = Image::empty(lattice);
@@ -132,7 +136,7 @@ impl Exact {
         // No point of the surface is farther from its voxel.
         let far = NEAR_PITCH * h + lattice.s;
         let bound = free.heights(work.tool, far, far, work.ctx)?;
-        let [faces, passing] = [faces, passing].map(Bare::of);
+        let [faces, passing] = [faces, passing].map(|points| Bare::of(free.empty(), &points));
         Ok(Some(Exact { end, drop, resting, bound, faces, passing, half: h / 2.0 }))
     }
 
@@ -204,31 +208,14 @@ impl Exact {
     fn past(&self, at: DVec2, (margin, nick): ([f64; 2], f64), enough: f64) -> f64 {
         let mut lowest = f64::NEG_INFINITY;
         for (obstacles, [side, down]) in self.bare_with(margin, nick) {
-            let (l, radius) = (obstacles.image.lattice, self.end.radius() - TOUCHING_MM);
-            let (low, high) =
-                ((at - radius - side - l.origin) / l.s, (at + radius + side - l.origin) / l.s);
-            let range = |low: f64, high: f64, n: usize| {
-                low.ceil().max(0.0) as usize..((high + 1.0).floor().max(0.0) as usize).min(n)
+            let radius = self.end.radius() - TOUCHING_MM;
+            let lower = |rho: f64| match (rho - side).max(0.0) {
+                rho if rho < radius => self.end.lower(rho) - down,
+                _ => f64::INFINITY,
             };
-            let (us, vs) = (range(low.x, high.x, l.n[0]), range(low.y, high.y, l.n[1]));
-            for (us, vs, most) in obstacles.blocks.each(us, vs) {
-                let first = l.uv([us.start, vs.start]);
-                let last = l.uv([us.end - 1, vs.end - 1]);
-                let gap = (first - at).max(at - last).max(DVec2::ZERO).length();
-                let rho = (gap - side - TOUCHING_MM).max(0.0);
-                if most + down - self.end.lower(rho.min(radius)) <= lowest {
-                    continue;
-                }
-                for [i, j] in vs.flat_map(|j| us.clone().map(move |i| [i, j])) {
-                    let top = obstacles.image.at([i, j]) + down;
-                    let rho = || (l.uv([i, j]).distance(at) - side).max(0.0);
-                    if top > lowest && rho() < radius {
-                        lowest = lowest.max(top - self.end.lower(rho()));
-                        if lowest > enough {
-                            return lowest;
-                        }
-                    }
-                }
+            lowest = obstacles.columns.lift(at, radius + side, lower, [lowest, enough]);
+            if lowest > enough {
+                return lowest;
             }
         }
         lowest

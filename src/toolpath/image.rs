@@ -101,9 +101,14 @@ impl Image {
     /// Raises the cell under a world point to the point's height; false outside the lattice.
     pub fn raise(&mut self, p: DVec3) -> bool {
         let plane = self.lattice.plane;
-        let Some(c) = self.lattice.cell(plane.across(p)) else { return false };
-        let (i, z) = (self.lattice.index(c), plane.height(p) as f32);
-        self.data[i] = self.data[i].max(z);
+        self.raise_at(plane.across(p).extend(plane.height(p)))
+    }
+
+    /// The same of a point as (u, v, height).
+    pub fn raise_at(&mut self, p: DVec3) -> bool {
+        let Some(c) = self.lattice.cell(p.truncate()) else { return false };
+        let i = self.lattice.index(c);
+        self.data[i] = self.data[i].max(p.z as f32);
         true
     }
 

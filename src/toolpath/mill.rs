@@ -17,6 +17,7 @@
 
 mod rest;
 
+use super::columns::Columns;
 use super::contour::{chains, nearest_order};
 use super::exact::{Exact, Lowest, steepness};
 use super::faces::{faces, rows};
@@ -30,6 +31,7 @@ use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
 use crate::voxel::{BitGrid, Frame};
+use std::sync::OnceLock;
 
 /// Heights closer than this are the same, mm: far above the rounding of f32 heights, far below
 /// what a machine resolves.
@@ -116,6 +118,9 @@ pub(super) struct Free {
     /// Those of its cells over which there are tips.
     pub wanted: Wanted,
     obstacles: Image,
+    /// The obstacles where they are, as (u, v, height).
+    points: Vec<DVec3>,
+    columns: OnceLock<Columns>,
     highest: f64,
     pub state_top: f64,
 }
@@ -134,15 +139,20 @@ impl Free {
         let mut highest = f64::NEG_INFINITY;
         let shell = state.boundary();
         let points = shell.iter_ones().map(|v| work.frame.center(v));
+        let mut seen = Vec::new();
         for p in points.chain(work.fixed.iter().copied()) {
-            obstacles.raise(p);
-            highest = highest.max(plane.height(p));
+            let p = plane.across(p).extend(plane.height(p));
+            highest = highest.max(p.z);
+            if obstacles.raise_at(p) {
+                seen.push(p);
+            }
         }
         let heights = work.before.boundary();
         let tops = heights.iter_ones().map(|v| plane.height(work.frame.center(v)));
         let state_top = tops.fold(f64::NEG_INFINITY, f64::max) + work.frame.pitch;
         let window = all.window(lo - tips, hi + tips);
-        Free { window, wanted: Wanted::all(window), obstacles, highest, state_top }
+        let (wanted, columns) = (Wanted::all(window), OnceLock::new());
+        Free { window, wanted, obstacles, points: seen, columns, highest, state_top }
     }
 
     /// The same with tips only over what is within `reach` mm of the region's columns.
@@ -183,20 +193,13 @@ impl Free {
         profile.dilate_over(&self.obstacles, &self.wanted, self.highest, ctx)
     }
 
-    /// Whether the edge of a tool at a tip holds no obstacle; shank and holder are not looked at.
+    /// Whether the edge of a tool at a tip holds no obstacle, each where it is; shank and holder are not looked at.
     pub fn is_clear(&self, tool: &Tool, tip: DVec3) -> bool {
-        let l = self.obstacles.lattice;
-        let (at, radius) = (tip.truncate(), tool.active_radius());
-        let (low, high) = ((at - radius - l.origin) / l.s, (at + radius - l.origin) / l.s);
-        let range = |low: f64, high: f64, n: usize| {
-            low.ceil().max(0.0) as usize..((high.floor() + 1.0).max(0.0) as usize).min(n)
-        };
-        let (us, vs) = (range(low.x, high.x, l.n[0]), range(low.y, high.y, l.n[1]));
-        vs.flat_map(|j| us.clone().map(move |i| [i, j])).all(|c| {
-            let over = self.obstacles.at(c) - SAME_HEIGHT_MM - tip.z;
-            // Most lie under the tip: no edge is lower than that.
-            over <= 0.0 || over <= tool.active_lower_surface(l.uv(c).distance(at))
-        })
+        let columns =
+            self.columns.get_or_init(|| Columns::over(self.obstacles.lattice, &self.points));
+        let most = tip.z + SAME_HEIGHT_MM;
+        let lower = |rho: f64| tool.active_lower_surface(rho);
+        columns.lift(tip.truncate(), tool.active_radius(), lower, [most, most]) <= most
     }
 
     /// An image as large as the obstacles', without any.
@@ -699,7 +702,58 @@ fn rounding(work: &Work, s: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Replay;
+    use super::super::tests::{first_step, tilted};
     use super::*;
+    use rand::RngExt;
+
+    /// Along a tilted direction obstacles lie beside the middles of their cells. Where they were looked for in these, a
+    /// cutter that hardly fits between the part and the table found no room and gouged the part.
+    #[test]
+    fn an_edge_is_clear_of_obstacles_where_they_are() {
+        let w = tilted("generic-5axis");
+        let replay = Replay::of(&w.job, &w.plan).unwrap();
+        let surfaces = [(); 2].map(|()| BitGrid::new(w.job.frame.dims));
+        let tool = w.job.cutters.iter().find(|t| t.name == "ball-3x30").unwrap();
+        let ctx = Ctx::quiet();
+        let work = first_step(&w, &replay, &surfaces, tool, &ctx);
+        assert!(!work.step.direction.is_grid_axis());
+        let free = Free::around(&work, work.after, 3.0);
+        let (l, plane) = (free.window, free.window.plane);
+        let shell = work.after.boundary();
+        let centers = shell.iter_ones().map(|v| work.frame.center(v));
+        let points: Vec<DVec3> = centers
+            .chain(work.fixed.iter().copied())
+            .map(|p| plane.across(p).extend(plane.height(p)))
+            .collect();
+        let moved = |p: &DVec3| match free.obstacles.lattice.cell(p.truncate()) {
+            Some(c) => free.obstacles.lattice.uv(c).extend(p.z),
+            None => *p,
+        };
+        let moved: Vec<DVec3> = points.iter().map(moved).collect();
+        let clear = |points: &[DVec3], tip: DVec3| {
+            let lower =
+                |p: &DVec3| tool.active_lower_surface(p.truncate().distance(tip.truncate()));
+            points.iter().all(|p| p.z - SAME_HEIGHT_MM - tip.z <= lower(p))
+        };
+        let mut rng = crate::base::rng(7, 0);
+        let (mut count, mut otherwise) = ([0, 0], 0);
+        let size = l.uv(l.n.map(|n| n - 1)) - l.origin;
+        for _ in 0..3000 {
+            let at = l.origin
+                + size * DVec2::new(rng.random_range(0.0..1.0), rng.random_range(0.0..1.0));
+            let near = points.iter().filter(|p| p.truncate().distance(at) < 0.5);
+            let top = near.map(|p| p.z).fold(f64::NEG_INFINITY, f64::max);
+            if top.is_finite() {
+                let tip = at.extend(top + rng.random_range(-0.7..0.7));
+                let want = clear(&points, tip);
+                assert_eq!(free.is_clear(tool, tip), want, "{tip}");
+                count[usize::from(want)] += 1;
+                otherwise += usize::from(clear(&moved, tip) != want);
+            }
+        }
+        assert!(count.iter().all(|n| *n > 200) && otherwise > 50, "{count:?} {otherwise}");
+    }
 
     /// On fine grids a tapered edge takes off by its side what lies farther from its axis than the cells
     /// that a profile samples one by one; no tip was looked for there once.

@@ -12,6 +12,7 @@
 mod between;
 mod cells;
 mod close_tip;
+mod columns;
 mod comb;
 mod contour;
 mod cross;
