@@ -4,24 +4,33 @@
 //! a voxel narrower than it, and whatever it cuts there it gouges one side or the other. So a place is looked for on
 //! the target's mesh: from the voxel's middle the ball's middle goes away from the surface that is deepest in the ball
 //! or in the edge over it, again and again, until nothing is deeper in either than a gouge, and never farther off
-//! than the ball and half a voxel reach.
+//! than the ball and half a voxel reach. Fixed points are kept off likewise where they are given.
 //!
 //! Guarantees: where there is room, all the balls that stand for the edge have it, at most [`APART`] of their radius
 //! from each other, between which a ridge is at most a hundredth of a radius deeper in it. Not guaranteed: that a place is
 //! found where there is one, for steps may miss it; shank, holder and what stands outside the target are not looked
 //! at.
 
-use crate::base::{DVec3, Direction};
+use crate::base::{Aabb, DVec3, Direction};
 use crate::machine::Tool;
-use crate::mesh::{NearestTriangle, SurfacePoint};
+use crate::mesh::NearestTriangle;
 use crate::plan::Job;
 use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
 use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Mutex, PoisonError};
 
 /// How deep its edge may bring a cutter into a surface, mm: a little less than what counts as a gouge.
 const GOUGE_MM: f64 = 0.045;
+
+/// How deep in it a fixed point may be, mm: steps to and fro between points and a surface come no nearer to a place
+/// free of both.
+const FIXED_MM: f64 = 0.03;
+
+/// Fixed points lie in cells of so many pitches a side, of which there are no more than so many.
+const CELL_PITCH: f64 = 2.0;
+const MOST_CELLS: f64 = 1e7;
 
 /// Balls stand for the edge so many of their radii apart.
 const APART: f64 = 0.3;
@@ -45,11 +54,13 @@ pub struct Room<'a> {
     known: Mutex<Known>,
 }
 
-/// What was asked before, tool by tool and direction by direction: each of several passes over the cuts of a plan asks
-/// for much the same.
+/// A tool, its direction, and the fixed points if any are looked at.
+type Question = ((String, [u64; 3]), Option<u64>);
+
+/// What was asked before: each of several passes over the cuts of a plan asks for much the same.
 #[derive(Default)]
 struct Known {
-    of: HashMap<(String, [u64; 3]), HashMap<[usize; 3], bool>>,
+    of: HashMap<Question, HashMap<[usize; 3], bool>>,
     count: usize,
 }
 
@@ -65,13 +76,43 @@ impl<'a> Room<'a> {
         tool.has_ball_end() || tool.is_tapered()
     }
 
-    /// Those of some voxels around which a cutter with a ball end has room along a direction; all of them for
+    /// Those of some voxels around which a cutter with a ball end has room along a direction, beside the target's surface
+    /// and any fixed points given; these are not looked at for voxels farther from them than the ball is wide. All for
     /// another cutter, of which this is not known.
-    pub fn of_those(&self, some: &BitGrid, (tool, direction): (&Tool, Direction)) -> BitGrid {
+    pub fn of_those(
+        &self,
+        fixed: Option<&Points>,
+        some: &BitGrid,
+        (tool, direction): (&Tool, Direction),
+    ) -> BitGrid {
         let Some(edge) = Edge::of(tool, direction) else { return some.clone() };
-        let (frame, beside) = (self.frame, self.frame.pitch / 2.0);
-        let has = |v: &[usize; 3]| edge.has_room(&self.surface, frame.center(*v), beside);
         let key = (tool.name.clone(), direction.vec().to_array().map(f64::to_bits));
+        let (frame, beside) = (self.frame, self.frame.pitch / 2.0);
+        let alone = Walls { surface: &self.surface, fixed: None };
+        let has = |v: &[usize; 3]| edge.has_room(alone, frame.center(*v), beside);
+        let mut roomy = self.known((key.clone(), None), some, has);
+        let Some(fixed) = fixed else { return roomy };
+        // The ball's middle is up to its radius and half a voxel from the voxel it touches.
+        let wide = 2.0 * edge.radii[0] + frame.pitch;
+        let mut near = BitGrid::new(some.dims());
+        let is_near = |v: &[usize; 3]| fixed.nearer(frame.center(*v), wide).is_some();
+        roomy.iter_ones().filter(is_near).for_each(|v| near.set(v, true));
+        if !near.is_empty() {
+            let both = Walls { surface: &self.surface, fixed: Some(fixed) };
+            let has = |v: &[usize; 3]| edge.has_room(both, frame.center(*v), beside);
+            let its = self.known((key, Some(fixed.id)), &near, has);
+            roomy.subtract(&near.minus(&its));
+        }
+        roomy
+    }
+
+    /// Those of some voxels of which something holds, as far as it is not known.
+    fn known(
+        &self,
+        key: Question,
+        some: &BitGrid,
+        has: impl Fn(&[usize; 3]) -> bool + Sync,
+    ) -> BitGrid {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let Known { of, count } = &mut *known;
         let its = of.entry(key).or_default();
@@ -86,6 +127,105 @@ impl<'a> Room<'a> {
             }
         }
         roomy
+    }
+}
+
+/// What an edge keeps off.
+#[derive(Clone, Copy)]
+struct Walls<'a> {
+    surface: &'a NearestTriangle,
+    fixed: Option<&'a Points>,
+}
+
+impl Walls<'_> {
+    /// What is deepest in a ball, if deeper than so much, or else than it may be: how deep, mm, where, and the way out
+    /// of a surface.
+    fn deepest(
+        &self,
+        middle: DVec3,
+        radius: f64,
+        than: Option<f64>,
+    ) -> Option<(f64, DVec3, DVec3)> {
+        let near = self.surface.nearer(middle, radius - than.unwrap_or(GOUGE_MM));
+        let wall = near.map(|near| (radius - near.distance, near.point, near.normal));
+        let least = wall.map(|(deep, ..)| deep).or(than).unwrap_or(FIXED_MM);
+        let point = self.fixed.and_then(|fixed| fixed.nearer(middle, radius - least));
+        point.map(|p| (radius - p.distance(middle), p, DVec3::ZERO)).or(wall)
+    }
+}
+
+/// Fixed points, by the cells of a grid over them.
+pub struct Points {
+    /// Side of a cell, mm.
+    cell: f64,
+    /// Corner of the first.
+    origin: DVec3,
+    n: [usize; 3],
+    /// For each cell the number of its first point, and at last that of all.
+    first: Vec<u32>,
+    points: Vec<DVec3>,
+    /// Of other points another.
+    id: u64,
+}
+
+impl Points {
+    /// Points of pedestal and table beside voxels of a frame.
+    pub fn of(points: &[DVec3], frame: &Frame) -> Points {
+        let all = Aabb::of(points.iter().copied());
+        let mut cell = CELL_PITCH * frame.pitch;
+        let n = |cell: f64| match points.is_empty() {
+            true => [0; 3],
+            false => ((all.max - all.min) / cell).to_array().map(|n| n.floor() as usize + 1),
+        };
+        while n(cell).iter().map(|n| *n as f64).product::<f64>() > MOST_CELLS {
+            cell *= 2.0;
+        }
+        let mut hasher = DefaultHasher::new();
+        points.iter().for_each(|p| p.to_array().map(f64::to_bits).hash(&mut hasher));
+        let (id, first) = (hasher.finish(), Vec::new());
+        let mut it = Points { cell, origin: all.min, n: n(cell), first, points: Vec::new(), id };
+        let mut held: Vec<(usize, DVec3)> =
+            points.iter().map(|p| (it.index(it.at(*p)), *p)).collect();
+        held.sort_by_key(|(cell, _)| *cell);
+        it.first = vec![0; it.n.iter().product::<usize>() + 1];
+        held.iter().for_each(|(cell, _)| it.first[cell + 1] += 1);
+        (1..it.first.len()).for_each(|i| it.first[i] += it.first[i - 1]);
+        it.points = held.into_iter().map(|(_, p)| p).collect();
+        it
+    }
+
+    fn at(&self, p: DVec3) -> [usize; 3] {
+        let at = ((p - self.origin) / self.cell).floor().to_array();
+        [0, 1, 2].map(|a| at[a].clamp(0.0, self.n[a].saturating_sub(1) as f64) as usize)
+    }
+
+    fn index(&self, [i, j, k]: [usize; 3]) -> usize {
+        i + self.n[0] * (j + self.n[1] * k)
+    }
+
+    /// The nearest to a place that is nearer than `most` mm.
+    fn nearer(&self, place: DVec3, most: f64) -> Option<DVec3> {
+        let size = DVec3::from_array(self.n.map(|n| n as f64 * self.cell));
+        let apart = (place.clamp(self.origin, self.origin + size) - place).length_squared();
+        if self.points.is_empty() || apart >= most.max(0.0).powi(2) {
+            return None;
+        }
+        let (low, high) = (self.at(place - most), self.at(place + most));
+        let mut nearest: (f64, Option<DVec3>) = (most * most, None);
+        for k in low[2]..=high[2] {
+            for j in low[1]..=high[1] {
+                // Cells side by side have their points so.
+                let row = [low[0], high[0]].map(|i| self.index([i, j, k]));
+                let points = self.first[row[0]] as usize..self.first[row[1] + 1] as usize;
+                for p in &self.points[points] {
+                    let square = p.distance_squared(place);
+                    if square < nearest.0 {
+                        nearest = (square, Some(*p));
+                    }
+                }
+            }
+        }
+        nearest.1
     }
 }
 
@@ -112,18 +252,15 @@ impl Edge {
         ball + (top - ball) * (s / self.length).clamp(0.0, 1.0)
     }
 
-    /// Where the surface is deepest in the edge, if deeper than a gouge: how far along the axis, how deep, mm.
-    fn deepest(
-        &self,
-        surface: &NearestTriangle,
-        middle: DVec3,
-    ) -> Option<(f64, f64, SurfacePoint)> {
-        let (mut s, mut deepest) = (0.0, None);
+    /// Where what it keeps off is deepest in the edge, if deeper than it may be: how far along the axis, how deep, mm,
+    /// where, and the way out of a surface.
+    fn deepest(&self, walls: Walls, middle: DVec3) -> Option<(f64, f64, DVec3, DVec3)> {
+        let (mut s, mut deepest): (f64, Option<(f64, f64, DVec3, DVec3)>) = (0.0, None);
         while s <= self.length {
             let radius = self.radius_at(s);
-            let least = deepest.map_or(GOUGE_MM, |(_, deep, _)| deep);
-            if let Some(near) = surface.nearer(middle + self.axis * s, radius - least) {
-                deepest = Some((s, radius - near.distance, near));
+            let than = deepest.map(|(_, deep, ..)| deep);
+            if let Some((deep, at, out)) = walls.deepest(middle + self.axis * s, radius, than) {
+                deepest = Some((s, deep, at, out));
             }
             s += APART * radius;
         }
@@ -131,15 +268,15 @@ impl Edge {
     }
 
     /// Whether it keeps off a surface somewhere where its ball touches what lies within `beside` of a point.
-    fn has_room(&self, surface: &NearestTriangle, p: DVec3, beside: f64) -> bool {
+    fn has_room(&self, walls: Walls, p: DVec3, beside: f64) -> bool {
         let mut middle = p;
         for k in 0..STEPS {
-            let Some((s, deep, near)) = self.deepest(surface, middle) else { return true };
-            let mut away = middle + self.axis * s - near.point;
+            let Some((s, deep, at, out)) = self.deepest(walls, middle) else { return true };
+            let mut away = middle + self.axis * s - at;
             if s > 0.0 {
                 away -= self.axis * away.dot(self.axis);
             }
-            let away = away.try_normalize().unwrap_or(near.normal);
+            let away = away.try_normalize().unwrap_or(out);
             // Between two walls whole steps would go to and fro.
             let share = 0.7f64.powi((k - FULL_STEPS).max(0));
             middle += away * (deep * share);
@@ -152,7 +289,13 @@ impl Edge {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::Machine;
     use crate::mesh::TriMesh;
+    use rand::RngExt;
+
+    fn alone(surface: &NearestTriangle) -> Walls<'_> {
+        Walls { surface, fixed: None }
+    }
 
     /// Two blocks with a gap of so many mm between them.
     fn gap(width: f64) -> TriMesh {
@@ -171,7 +314,7 @@ mod tests {
                 for radius in [0.5, 0.7, 1.0, 1.5] {
                     let fits = 2.0 * (radius - GOUGE_MM) <= width;
                     let edge = Edge { radii: [radius; 2], axis: DVec3::NEG_X, length: 20.0 };
-                    let found = edge.has_room(&surface, p, 0.1);
+                    let found = edge.has_room(alone(&surface), p, 0.1);
                     assert!(found == fits, "{width} {k} {radius}");
                 }
             }
@@ -186,7 +329,60 @@ mod tests {
         let edge = Edge { radii: [0.5, 1.5], axis: DVec3::NEG_X, length: 20.0 };
         // Gouges let it in as if the gap were 1.3 mm wide: to a radius of 0.65 mm, 3 mm over the ball.
         for (x, fits) in [(1.0, true), (2.0, true), (3.8, false), (5.0, false)] {
-            assert_eq!(edge.has_room(&surface, DVec3::new(x, 4.5, 3.6), 0.1), fits, "{x}");
+            assert_eq!(edge.has_room(alone(&surface), DVec3::new(x, 4.5, 3.6), 0.1), fits, "{x}");
+        }
+    }
+
+    /// Over a table of points a cutter has room under a ledge that is farther from them than it is wide.
+    #[test]
+    fn fixed_points_are_kept_off() {
+        let ledge = TriMesh::cuboid(DVec3::new(0.0, 0.0, 1.2), DVec3::new(9.0, 9.0, 4.0));
+        let surface = NearestTriangle::new(&ledge, 1.5);
+        let table: Vec<DVec3> = (0..100 * 60)
+            .map(|k| DVec3::new(f64::from(k % 100), f64::from(k / 100), 0.0) * 0.1 + DVec3::X)
+            .collect();
+        let frame = Frame { pitch: 0.2, dims: [50, 50, 30], origin: DVec3::splat(-0.2) };
+        let fixed = Points::of(&table, &frame);
+        for (radius, fits) in [(0.5, true), (0.57, true), (0.64, false), (0.7, false)] {
+            let edge = Edge { radii: [radius; 2], axis: DVec3::NEG_Y, length: 20.0 };
+            let walls = Walls { surface: &surface, fixed: Some(&fixed) };
+            let p = DVec3::new(5.0, 3.0, 0.6);
+            assert_eq!(edge.has_room(walls, p, 0.1), fits, "{radius}");
+            assert!(edge.has_room(alone(&surface), p, 0.1));
+        }
+    }
+
+    /// What is known of one table is not told of another, nor of none; the nearest of its points is that of all.
+    #[test]
+    fn each_table_is_asked_for_itself() {
+        let machine = Machine::builtin("generic-5axis").unwrap();
+        let ledge = TriMesh::cuboid(DVec3::new(0.0, 0.0, 1.2), DVec3::new(9.0, 9.0, 4.0));
+        let frame = Frame { pitch: 0.2, dims: [50, 50, 30], origin: DVec3::splat(-0.2) };
+        let surface = NearestTriangle::new(&ledge, 1.5);
+        let room = Room { frame: &frame, surface, known: Mutex::default() };
+        let table = |z: f64| {
+            let points = (0..100 * 60)
+                .map(|k| DVec3::new(f64::from(k % 100), f64::from(k / 100), 0.0) * 0.1)
+                .map(|p| p + DVec3::Z * z);
+            Points::of(&points.collect::<Vec<_>>(), &frame)
+        };
+        let some = BitGrid::from_fn(frame.dims, |v| v == [26, 16, 4]);
+        let tool = machine.tools.iter().find(|t| t.name == "ball-1x16").unwrap();
+        let along = Direction::new(DVec3::NEG_Y).unwrap();
+        let has = |points: Option<&Points>| !room.of_those(points, &some, (tool, along)).is_empty();
+        let (low, high) = (table(0.0), table(0.4));
+        for _ in 0..2 {
+            assert!(has(None) && has(Some(&low)) && !has(Some(&high)));
+        }
+        assert!(has(Some(&Points::of(&[], &frame))));
+        let mut rng = crate::base::rng(4, 0);
+        for _ in 0..400 {
+            let place = DVec3::from_array([0, 1, 2].map(|_| rng.random_range(-3.0..12.0)));
+            let most = rng.random_range(-0.5..6.0);
+            let nearest =
+                low.points.iter().map(|p| p.distance(place)).fold(f64::INFINITY, f64::min);
+            let found = low.nearer(place, most).map(|p| p.distance(place));
+            assert_eq!(found, Some(nearest).filter(|d| *d < most), "{place} {most}");
         }
     }
 
@@ -197,8 +393,8 @@ mod tests {
         let surface = NearestTriangle::new(&mesh, 1.5);
         let p = DVec3::new(9.6, 4.5, 3.6);
         let edge = |axis| Edge { radii: [0.7; 2], axis, length: 20.0 };
-        assert!(edge(DVec3::X).has_room(&surface, p, 0.1));
-        assert!(!edge(DVec3::NEG_X).has_room(&surface, p, 0.1));
+        assert!(edge(DVec3::X).has_room(alone(&surface), p, 0.1));
+        assert!(!edge(DVec3::NEG_X).has_room(alone(&surface), p, 0.1));
     }
 
     /// Beside a wall, on a floor and in the open there is.
@@ -208,7 +404,7 @@ mod tests {
         let surface = NearestTriangle::new(&mesh, 1.5);
         for p in [DVec3::new(4.0, 4.0, 3.01), DVec3::new(-0.05, 4.0, 1.0), DVec3::splat(-9.0)] {
             let edge = Edge { radii: [1.5; 2], axis: DVec3::Z, length: 20.0 };
-            assert!(edge.has_room(&surface, p, 0.1), "{p}");
+            assert!(edge.has_room(alone(&surface), p, 0.1), "{p}");
         }
     }
 }

@@ -14,7 +14,7 @@
 use super::Run;
 use super::fitting::over;
 use super::laying::{Layer, Way};
-use super::room::Room;
+use super::room::{Points, Room};
 use super::round::Attempt;
 use super::tilting::{BESIDE_RADII, Turn, is_too_much};
 use crate::base::DVec3;
@@ -99,7 +99,8 @@ fn sparing(
     let mut standing = BitGrid::new(state.dims());
     for turn in steps.chunk_by(|a, b| (a.kind, a.holding) == (b.kind, b.holding)) {
         let fixed = setting.fixed(turn[0].holding, &state);
-        let cuts = Turn { run, room, fixed: &fixed, made_again: &made_again };
+        let points = Points::of(&fixed, &setting.job.frame);
+        let cuts = Turn { run, room, fixed: &fixed, points: &points, made_again: &made_again };
         for step in turn {
             run.ctx.check()?;
             let region = match step.kind {
@@ -214,9 +215,11 @@ impl Turn<'_, '_> {
                 }
             }
             // How wide a tapered edge is where it passes the surface is not told by its end.
-            Some(tool) if tool.is_tapered() => {
-                step.region.minus(&self.room.of_those(&step.region, (tool, step.direction)))
-            }
+            Some(tool) if tool.is_tapered() => step.region.minus(&self.room.of_those(
+                Some(self.points),
+                &step.region,
+                (tool, step.direction),
+            )),
             Some(_) => self.crowded(state, step),
         }
     }
@@ -267,7 +270,9 @@ mod tests {
             let room = Room::of(job);
             let fixed = run.start.setting.fixed(0, &job.initial);
             let made_again = Cell::new(0);
-            let turn = Turn { run, room: &room, fixed: &fixed, made_again: &made_again };
+            let points = Points::of(&fixed, &job.frame);
+            let turn =
+                Turn { run, room: &room, fixed: &fixed, points: &points, made_again: &made_again };
             let (mut state, mut steps) = (job.initial.clone(), Vec::new());
             for height in heights {
                 let over = BitGrid::from_fn(job.frame.dims, |v| job.frame.center(v).z > *height);

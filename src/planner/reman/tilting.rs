@@ -15,7 +15,7 @@ use super::Run;
 use super::cutting::held_part;
 use super::fitting::over;
 use super::reach::{Reach, bounds};
-use super::room::{Room, WIDER_VOXELS};
+use super::room::{Points, Room, WIDER_VOXELS};
 use super::roughing::with_room;
 use super::round::Attempt;
 use crate::access::{Close, Scene};
@@ -82,7 +82,8 @@ pub fn tilted(run: &mut Run, room: &Room, attempt: Attempt) -> Result<Attempt, P
         let mut made = turn.to_vec();
         if turn[0].kind == StepKind::Subtractive {
             let fixed = setting.fixed(turn[0].holding, &state);
-            let turn = Turn { run, room, fixed: &fixed, made_again: &made_again };
+            let points = Points::of(&fixed, &setting.job.frame);
+            let turn = Turn { run, room, fixed: &fixed, points: &points, made_again: &made_again };
             made = turn.tilted(&state, made)?;
         }
         for step in &made {
@@ -127,6 +128,8 @@ pub(super) struct Turn<'r, 'a> {
     pub run: &'r Run<'a>,
     pub room: &'r Room<'a>,
     pub fixed: &'r [DVec3],
+    /// The same for [`Room`].
+    pub points: &'r Points,
     /// Cuts made again so far.
     pub made_again: &'r Cell<usize>,
 }
@@ -141,6 +144,7 @@ impl<'a> Turn<'_, 'a> {
                 let crowded = self.crowded(&state, &steps[i]);
                 if is_worth_it(&crowded, &steps[i]) {
                     let left = self.left_to_later(&state, &mut steps[i..], crowded)?;
+                    let left = self.crowded_by_target(&left, &steps[i]);
                     if is_worth_it(&left, &steps[i]) {
                         let more = self.tilted_cuts(&state, &mut steps[i], left)?;
                         steps.splice(i + 1..i + 1, more);
@@ -165,7 +169,14 @@ impl<'a> Turn<'_, 'a> {
         let way = (tool, step.direction);
         let wide = (tool, step.direction, WIDER_VOXELS);
         let tight = step.region.minus(&with_room(job, state, &step.region, self.fixed, wide));
-        tight.minus(&self.room.of_those(&tight, way))
+        tight.minus(&self.room.of_those(Some(self.points), &tight, way))
+    }
+
+    /// What of the crowded of a cut has no room beside the target alone. Beside pedestal and table other directions
+    /// seldom have more, and looking for them takes seconds.
+    fn crowded_by_target(&self, crowded: &BitGrid, step: &Step) -> BitGrid {
+        let Some(tool) = self.tool(step) else { return crowded.clone() };
+        crowded.minus(&self.room.of_those(None, crowded, (tool, step.direction)))
     }
 
     /// Leaves what is crowded of the first of some cuts to those after it, as far as they have room; returns the rest.
@@ -180,7 +191,10 @@ impl<'a> Turn<'_, 'a> {
             self.run.ctx.check()?;
             // Of other ends it is not known whether they have room.
             if let Some(tool) = self.tool(step).filter(|t| Room::is_told_of(t)) {
-                homes.push((j, self.room.of_those(&crowded, (tool, step.direction))));
+                homes.push((
+                    j,
+                    self.room.of_those(Some(self.points), &crowded, (tool, step.direction)),
+                ));
             }
         }
         for _ in 0..MOST_HOMES {
@@ -224,7 +238,8 @@ impl<'a> Turn<'_, 'a> {
             let Standing { mut new, state: before, taken } = made;
             let home = &steps[last];
             let still_crowded = self.tool(home).map_or(taken.count(), |tool| {
-                taken.count() - self.room.of_those(&taken, (tool, home.direction)).count()
+                taken.count()
+                    - self.room.of_those(Some(self.points), &taken, (tool, home.direction)).count()
             });
             if STILL_CROWDED * still_crowded > its.count() {
                 break;
@@ -332,7 +347,8 @@ impl<'a> Turn<'_, 'a> {
             }
             let mut its = BitGrid::new(crowded.dims());
             way.bound.add_to(&mut its);
-            let its = self.room.of_those(&its.and(crowded), (way.tool, way.direction));
+            let its =
+                self.room.of_those(Some(self.points), &its.and(crowded), (way.tool, way.direction));
             if its.count() > most {
                 best = Some((i, its));
             }
@@ -452,7 +468,9 @@ mod tests {
             let room = Room::of(job);
             let fixed = run.start.setting.fixed(0, &job.initial);
             let made_again = Cell::new(0);
-            let turn = Turn { run, room: &room, fixed: &fixed, made_again: &made_again };
+            let points = Points::of(&fixed, &job.frame);
+            let turn =
+                Turn { run, room: &room, fixed: &fixed, points: &points, made_again: &made_again };
             let mut state = job.initial.clone();
             let mut steps = Vec::new();
             for direction in along {
@@ -540,7 +558,9 @@ mod tests {
             let room = Room::of(&job);
             let fixed = run.start.setting.fixed(0, &job.initial);
             let made_again = Cell::new(0);
-            let turn = Turn { run, room: &room, fixed: &fixed, made_again: &made_again };
+            let points = Points::of(&fixed, &job.frame);
+            let turn =
+                Turn { run, room: &room, fixed: &fixed, points: &points, made_again: &made_again };
             let slot = BitGrid::from_fn(job.frame.dims, |v| job.frame.center(v).z > 5.0);
             let mut step = Step {
                 kind: StepKind::Subtractive,
