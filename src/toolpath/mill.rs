@@ -10,7 +10,8 @@
 //! H is told over cells within reach of the region alone (`wanted`); over others no tip goes but at the safe height.
 //!
 //! Guarantees: no tip on the lattice is below H of the exact obstacle points (moved to their cells), but for
-//! those of a region's last voxels, which are free of the points where they are (see `close_tip`);
+//! those between its cells and those of a region's last voxels, which are free of the points where they are (see `between`
+//! and `close_tip`);
 //! no pass is deeper than a step-down under what was cut beside it; rapids only at the safe height
 //! or straight up; over surfaces of the meshes heights are the meshes' (see `exact`), but for crevices
 //! that only the voxels leave room for. Not guaranteed: a constant engagement.
