@@ -360,13 +360,19 @@ fn outside(job: &Job, later: &[Made], motions: &[Motion], (tool, up): (&Tool, Di
     let (reach, half) = (4.0 * process.path_mm, process.path_mm / 2.0);
     let nearest = NearestTriangle::new(&job.target_mesh, reach);
     let down = up.vec() * (process.layer_mm / 2.0);
+    let aside = ASIDE_PITCH * job.frame.pitch;
     let beads: Vec<&Motion> = motions.iter().filter(|m| m.gait == Gait::Deposit).collect();
     let of_bead = |m: &&Motion| {
         let mut worst: f64 = 0.0;
         for p in samples(m, job.frame.pitch) {
             let middle = p - down;
-            let within = job.frame.voxel_at(middle).is_some_and(|v| job.target.get(v));
-            let away = nearest.query(middle).map_or(reach, |q| q.distance);
+            let near = nearest.query(middle);
+            let away = near.map_or(reach, |q| q.distance);
+            // A point may be inside the mesh and its voxel's middle outside, and the other way round.
+            let within = match near.filter(|_| away <= aside) {
+                Some(q) => nearest.is_inside(middle, &q),
+                None => job.frame.voxel_at(middle).is_some_and(|v| job.target.get(v)),
+            };
             let out = half + if within { -away } else { away };
             // Most beads are inside; what is swept takes longer to tell.
             let is_cut =

@@ -39,6 +39,9 @@ const MOST_CELLS: f64 = 160.0;
 /// Boxes are passed over only where they are farther than the nearest point by more than rounding, mm.
 const ROUNDING_MM: f64 = 1e-9;
 
+/// How far from the nearest point of a triangle towards its middle one is looked at, to tell sides.
+const AIM: f64 = 1e-3;
+
 impl NearestTriangle {
     /// `reach` (mm) is the largest distance at which a triangle is looked for.
     pub fn new(mesh: &TriMesh, reach: f64) -> Self {
@@ -149,6 +152,41 @@ impl NearestTriangle {
     }
 }
 
+impl NearestTriangle {
+    /// Whether `p` lies inside the mesh, given what [`NearestTriangle::query`] answers for it.
+    ///
+    /// Looks from `p` at a point of the nearest triangle and asks for the side of the first face on the way: of the
+    /// two faces of an edge the nearest alone may show its other side. The mesh must be closed and oriented there.
+    pub fn is_inside(&self, p: DVec3, near: &SurfacePoint) -> bool {
+        let [a, b, c] = self.faces[near.triangle].corners;
+        // Within the triangle, so that the line goes through no edge of it.
+        let aim = near.point.lerp((a + b + c) / 3.0, AIM);
+        let (lo, hi) = (self.cell_of(p.min(aim)), self.cell_of(p.max(aim)));
+        let mut first = (1.0, (aim - p).dot(near.normal) > 0.0);
+        for cell in self.each_cell(lo, hi) {
+            let listed = self.starts[cell] as usize..self.starts[cell + 1] as usize;
+            for t in self.triangles[listed].iter().map(|t| *t as usize) {
+                let Some(normal) = self.faces[t].normal.filter(|_| t != near.triangle) else {
+                    continue;
+                };
+                let along = (aim - p).dot(normal);
+                let share = (self.faces[t].corners[0] - p).dot(normal) / along;
+                if (0.0..first.0).contains(&share)
+                    && is_over(p.lerp(aim, share), normal, self.faces[t].corners)
+                {
+                    first = (share, along > 0.0);
+                }
+            }
+        }
+        first.1
+    }
+}
+
+/// Whether a point in the plane of a triangle lies in it.
+fn is_over(p: DVec3, normal: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
+    [(a, b), (b, c), (c, a)].iter().all(|(u, v)| (*v - *u).cross(p - *u).dot(normal) >= 0.0)
+}
+
 /// Closest point of a triangle, by the region of the barycentric plane the point falls into.
 pub fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     let n = (b - a).cross(c - a);
@@ -191,6 +229,56 @@ mod tests {
         agrees(&upright);
         let axis = DVec3::new(0.4, 0.8, 0.3).normalize();
         agrees(&upright.transformed(&DAffine3::from_axis_angle(axis, 0.7)).unwrap());
+    }
+
+    /// Beside edges and corners, inner and outer, the nearest face alone would tell the wrong side.
+    #[test]
+    fn sides_are_those_of_the_winding_number() {
+        // A slanted tetrahedron of sharp edges, and a notched block with an edge that goes in.
+        let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
+        let tetra = [at(0.0, 0.0, 0.0), at(4.0, 0.0, 0.0), at(0.3, 0.2, 3.0), at(0.5, 2.5, 0.4)];
+        let star: Vec<[u32; 3]> = vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]];
+        let m = TriMesh::new(tetra.to_vec(), star).unwrap();
+        let flip = m.signed_volume() < 0.0;
+        let turned = m.triangles().iter().map(|t| if flip { [t[0], t[2], t[1]] } else { *t });
+        let m = TriMesh::new(tetra.to_vec(), turned.collect()).unwrap();
+        let l = [(0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (1.0, 1.2), (1.1, 3.0), (0.0, 3.0)];
+        let n = l.len() as u32;
+        let mut vertices: Vec<DVec3> = l.iter().map(|(x, y)| at(*x, *y, 0.0)).collect();
+        vertices.extend(l.iter().map(|(x, y)| at(*x, *y, 2.0)));
+        let caps = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]];
+        let mut faces: Vec<[u32; 3]> = caps.iter().map(|[a, b, c]| [*a, *c, *b]).collect();
+        faces.extend(caps.iter().map(|t| t.map(|i| i + n)));
+        for i in 0..n {
+            let j = (i + 1) % n;
+            faces.push([i, j, j + n]);
+            faces.push([i, j + n, i + n]);
+        }
+        let notched = TriMesh::new(vertices, faces).unwrap();
+        for m in [m, notched] {
+            let index = NearestTriangle::new(&m, 0.8);
+            let (mut told, mut wrong) = ([0; 2], 0);
+            for i in 0..20_000_usize {
+                let f = |k: usize, n: usize| (i * k % n) as f64 / n as f64;
+                let p =
+                    at(f(37, 1009) * 5.0 - 0.5, f(53, 1013) * 4.0 - 0.5, f(71, 1019) * 4.0 - 0.5);
+                let Some(near) = index.query(p) else { continue };
+                let whole: f64 = (0..m.triangles().len())
+                    .map(|t| {
+                        let [a, b, c] = m.corners(t).map(|q| q - p);
+                        let [x, y, z] = [a, b, c].map(DVec3::length);
+                        let below = x * y * z + a.dot(b) * z + b.dot(c) * x + c.dot(a) * y;
+                        2.0 * a.dot(b.cross(c)).atan2(below)
+                    })
+                    .sum();
+                let inside = whole > std::f64::consts::TAU;
+                assert_eq!(index.is_inside(p, &near), inside, "{p} {near:?}");
+                told[usize::from(inside)] += 1;
+                wrong += usize::from(((near.point - p).dot(near.normal) > 0.0) != inside);
+            }
+            assert!(told.iter().all(|n| *n > 1000), "{told:?}");
+            assert!(wrong > 0);
+        }
     }
 
     fn agrees(m: &TriMesh) {
