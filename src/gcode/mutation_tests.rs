@@ -296,5 +296,6 @@ fn harmful_mutations_are_caught_with_their_line() {
     println!("{count} programs: {harmful} harmful, {caught} caught, {on_line} at their line");
     println!("of each kind, how many, harmful, caught: {kinds:?}");
     assert!(escaped.is_empty(), "{} escaped:\n{}", escaped.len(), escaped.join("\n"));
-    assert!(harmful >= count / 3, "only {harmful} of {count} do harm: the oracle is blind");
+    // Of 300 it is 132: most retracts that can be removed lead over what is cut already.
+    assert!(harmful >= count / 4, "only {harmful} of {count} do harm: the oracle is blind");
 }

@@ -56,6 +56,73 @@ fn within(
     (low[1]..=high[1]).flat_map(move |j| (low[0] + nx * j)..=(high[0] + nx * j))
 }
 
+/// The part of a lattice around some of its cells and one more on each side, as a lattice of its own, with its first
+/// cell.
+fn around(lattice: &Lattice, cells: &[usize]) -> (Lattice, Cell) {
+    let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+    for c in cells.iter().map(|k| lattice.cell_of_index(*k)) {
+        low = [0, 1].map(|a| c[a].min(low[a]));
+        high = [0, 1].map(|a| c[a].max(high[a]));
+    }
+    let low = [0, 1].map(|a| low[a].saturating_sub(1).min(high[a]));
+    let n = [0, 1].map(|a| (high[a] + 2).min(lattice.n[a]) - low[a]);
+    (Lattice { origin: lattice.uv(low), n, ..*lattice }, low)
+}
+
+/// The same as [`chains`] over a set that is given by its cells, without a look at the others.
+pub(super) fn chains_over(lattice: &Lattice, cells: &[usize], stepover: f64) -> Vec<Vec<Cell>> {
+    if cells.is_empty() {
+        return Vec::new();
+    }
+    let (part, low) = around(lattice, cells);
+    let moved = |k: usize| {
+        let c = lattice.cell_of_index(k);
+        part.index([c[0] - low[0], c[1] - low[1]])
+    };
+    let mut set = vec![false; part.cells()];
+    cells.iter().for_each(|k| set[moved(*k)] = true);
+    let mut all = chains(&part, &set, stepover);
+    all.iter_mut().flatten().for_each(|c| *c = [c[0] + low[0], c[1] + low[1]]);
+    all
+}
+
+/// The connected parts of some cells, in the order of their first ones; of each its cells in their order.
+pub(super) fn parts(lattice: &Lattice, cells: &[usize]) -> Vec<Vec<usize>> {
+    const NONE: u32 = u32::MAX;
+    if cells.is_empty() {
+        return Vec::new();
+    }
+    let (part, low) = around(lattice, cells);
+    let moved = |k: usize| {
+        let c = lattice.cell_of_index(k);
+        part.index([c[0] - low[0], c[1] - low[1]])
+    };
+    // Which part a cell is of; that of none is one more than there can be.
+    let mut of = vec![NONE; part.cells()];
+    cells.iter().for_each(|k| of[moved(*k)] = NONE - 1);
+    let (mut count, mut open) = (0u32, Vec::new());
+    for first in cells.iter().map(|k| moved(*k)) {
+        if of[first] != NONE - 1 {
+            continue;
+        }
+        of[first] = count;
+        open.push(first);
+        while let Some(k) = open.pop() {
+            let c = part.cell_of_index(k);
+            for (di, dj) in AROUND {
+                if let Some(n) = neighbour(&part, c, di, dj).filter(|n| of[*n] == NONE - 1) {
+                    of[n] = count;
+                    open.push(n);
+                }
+            }
+        }
+        count += 1;
+    }
+    let mut all = vec![Vec::new(); count as usize];
+    cells.iter().for_each(|k| all[of[moved(*k)] as usize].push(*k));
+    all
+}
+
 /// Chains of neighbouring cells, a `stepover` (cells) apart, that cover the set.
 pub(super) fn chains(lattice: &Lattice, set: &[bool], stepover: f64) -> Vec<Vec<Cell>> {
     let stepover = stepover.max(1.0) as f32;
@@ -237,6 +304,52 @@ mod tests {
                 (0..2).any(|a| c[a] < found[0][a] || c[a] > found[1][a])
             };
             prop_assert!((0..l.cells()).all(|k| !set[k] || !out(k)));
+        }
+
+        #[test]
+        fn of_a_set_and_of_its_cells_the_chains_are_the_same(
+            boxes in proptest::collection::vec((0usize..40, 0usize..40, 1usize..9, 1usize..9), 1..6),
+            stepover in 1f64..5.0,
+        ) {
+            let l = lattice([40, 40]);
+            let is_in = |k: &usize| {
+                let [i, j] = l.cell_of_index(*k);
+                boxes.iter().any(|(a, b, w, h)| (*a..a + w).contains(&i) && (*b..b + h).contains(&j))
+            };
+            let set: Vec<bool> = (0..l.cells()).map(|k| is_in(&k)).collect();
+            let cells: Vec<usize> = (0..l.cells()).filter(is_in).collect();
+            prop_assert_eq!(chains_over(&l, &cells, stepover), chains(&l, &set, stepover));
+        }
+
+        #[test]
+        fn parts_are_connected_and_apart(
+            some in proptest::collection::btree_set(0usize..400, 0..120),
+        ) {
+            let l = lattice([20, 20]);
+            let cells: Vec<usize> = some.into_iter().collect();
+            let all = parts(&l, &cells);
+            let beside = |a: &usize, b: &usize| {
+                let [a, b] = [a, b].map(|k| l.cell_of_index(*k));
+                a[0].abs_diff(b[0]) <= 1 && a[1].abs_diff(b[1]) <= 1
+            };
+            let mut sorted: Vec<usize> = all.iter().flatten().copied().collect();
+            sorted.sort_unstable();
+            prop_assert_eq!(sorted, cells);
+            for (i, part) in all.iter().enumerate() {
+                prop_assert!(part.is_sorted());
+                let others = all[i + 1..].iter().flatten();
+                prop_assert!(others.clone().all(|o| !part.iter().any(|k| beside(k, o))));
+                let mut reached = vec![part[0]];
+                let mut next = 0;
+                while next < reached.len() {
+                    let from = reached[next];
+                    let new = part.iter().filter(|k| beside(&from, k) && !reached.contains(k));
+                    let new: Vec<usize> = new.copied().collect();
+                    reached.extend(new);
+                    next += 1;
+                }
+                prop_assert_eq!(reached.len(), part.len());
+            }
         }
 
         #[test]

@@ -3,9 +3,10 @@
 //! Method: over the tip lattice of the plan's rules, H(u, v) is the lowest height at which the whole
 //! tool is free of the output state and the fixed points, `top` the height at which its edge first meets
 //! the region, `floor` the lowest height worth going to. Roughing takes levels a step-down apart, contour
-//! parallel, at z = max(level, H + stock, floor); finishing follows max(H, floor) a scallop stepover
-//! apart; rest cutting (`rest`) goes once more where region is still uncovered. Into
-//! material the tip goes by a ramp along the pass (see `ramp`).
+//! parallel, at z = max(level, H + stock, floor), one pocket down to its ground before the next; finishing follows
+//! max(H, floor) a scallop stepover apart; rest cutting (`rest`) goes once more where region is still uncovered. Into
+//! material the tip goes by a ramp along the pass (see `ramp`). From one place to the next it goes through what is cut
+//! where that is near, over what stands where that is sooner than over the safe height.
 //!
 //! H is told over cells within reach of the region alone (`wanted`); over others no tip goes but at the safe height.
 //!
@@ -19,12 +20,12 @@
 mod rest;
 
 use super::columns::Columns;
-use super::contour::{chains, nearest_order};
+use super::contour::{chains, chains_over, nearest_order, parts};
 use super::exact::{Exact, Lowest, steepness};
 use super::faces::{faces, rows};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::moves::{Figures, Move, MoveKind};
-use super::process::{CLEARANCE_MM, Milling};
+use super::process::{CLEARANCE_MM, ENTRY_MM, Milling};
 use super::ramp::{LEAST_MM, Stock, ramp};
 use super::touch::Touch;
 use super::wanted::Wanted;
@@ -61,6 +62,34 @@ pub(super) const FAR_CELLS: f64 = 64.0;
 /// Tips are taken up to so many cells beside those over which an edge meets the region: a pass goes to a wall within
 /// a cell, and what a cell leaves may be cut from as far as a voxel beside it.
 const BESIDE_CELLS: f64 = 6.0;
+
+/// Chains farther apart than this many stepovers are not linked through what is cut.
+const FAR_STEPOVERS: f64 = 4.0;
+
+/// Places of a way that are looked at, in each cell: of spires 62° steep 0.012 mm goes unseen on cells of 0.5 mm.
+const LOOKS: f64 = 4.0;
+
+/// Connected cells, with no others beside them, over which there is still something to cut from a level down.
+struct Pocket {
+    cells: Vec<usize>,
+    /// Levels from the first, which is 1.
+    level: usize,
+}
+
+/// The pocket with the cell nearest to `here`, or the first, taken out of some.
+fn nearest_pocket(lattice: &Lattice, some: &mut Vec<Pocket>, here: Option<Cell>) -> Option<Pocket> {
+    /// Looks at the cells of a pocket.
+    const LOOKS: usize = 16;
+    let away = |p: &Pocket| {
+        let looks = p.cells.iter().step_by(p.cells.len() / LOOKS + 1);
+        let cells = looks.map(|k| lattice.cell_of_index(*k));
+        cells
+            .map(|c| here.map_or(0, |h| c[0].abs_diff(h[0]).pow(2) + c[1].abs_diff(h[1]).pow(2)))
+            .min()
+    };
+    let nearest = (0..some.len()).min_by_key(|i| (away(&some[*i]), *i))?;
+    Some(some.remove(nearest))
+}
 
 /// What a step works on.
 pub(super) struct Work<'a> {
@@ -239,6 +268,8 @@ struct Stage<'a> {
     to_walls: bool,
     /// How far from its cell the tip stands.
     aside: DVec2,
+    /// The move that ended at the beginning of the chain that is cut, while the tip has not left it.
+    chain: Option<usize>,
     moves: Vec<Move>,
 }
 
@@ -298,6 +329,7 @@ impl<'a> Stage<'a> {
             at: None,
             to_walls: false,
             aside: DVec2::ZERO,
+            chain: None,
             moves: Vec::new(),
         })
     }
@@ -327,8 +359,9 @@ impl<'a> Stage<'a> {
         free.data.iter().zip(&self.floor.data).zip(&self.top.data).map(pick).collect()
     }
 
-    /// Cuts down to `bottom` in levels, where that is below `ceiling`. Levels above what was
-    /// already cut `near` a cell are passed over: only air is left there.
+    /// Cuts down to `bottom` in levels, where that is below `ceiling`: one pocket to its ground before the next, so that
+    /// the tool seldom leaves one. Levels above what was already cut `near` a cell are passed over: only air is left
+    /// there.
     fn levels(&mut self, bottom: &[f32], ceiling: &[f32], near: &[f32]) -> Result<(), Cancelled> {
         let same = SAME_HEIGHT_MM as f32;
         let due: Vec<usize> = (0..bottom.len())
@@ -337,27 +370,38 @@ impl<'a> Stage<'a> {
         let open = |i: usize| ceiling[i].min(near[i]).max(bottom[i]);
         let start = due.iter().map(|i| open(*i)).fold(f32::NEG_INFINITY, f32::max);
         let start = start.min(self.safe as f32) + same;
-        let lowest = due.iter().map(|i| bottom[*i]).fold(f32::INFINITY, f32::min);
         let least = LEAST_STEP_SHARE * self.lattice.s;
-        let (step, mut k) = (self.process.step_down.max(least) as f32, 1.0);
-        let mut last = start + same;
-        while last > lowest + same {
+        let step = self.process.step_down.max(least) as f32;
+        let stepover = self.process.stepover / self.lattice.s;
+        let (lattice, feed) = (self.lattice, self.process.feed);
+        let first = parts(&lattice, &due).into_iter().map(|cells| Pocket { cells, level: 1 });
+        // The pockets under one that are still to be cut, of the deepest last.
+        let mut open: Vec<Vec<Pocket>> = vec![first.collect()];
+        while let Some(beside) = open.last_mut() {
             self.work.ctx.check()?;
-            let level = start - k * step;
+            let here = self.at.map(|(c, _)| c);
+            let Some(Pocket { cells, level: k }) = nearest_pocket(&lattice, beside, here) else {
+                open.pop();
+                continue;
+            };
+            let level = start - k as f32 * step;
+            let last = if k == 1 { start + same } else { start - (k - 1) as f32 * step };
             let z = |i: usize| bottom[i].max(level);
-            let mut set = vec![false; bottom.len()];
-            for &i in &due {
-                let fresh = z(i) < ceiling[i].min(last) - same;
-                set[i] = fresh && (bottom[i] >= level || level < near[i]);
-            }
-            let stepover = self.process.stepover / self.lattice.s;
-            self.passes(&set, stepover, &z, self.process.feed)?;
-            for &i in due.iter().filter(|i| set[**i]) {
+            let is_due = |i: &usize| {
+                let fresh = z(*i) < ceiling[*i].min(last) - same;
+                fresh && (bottom[*i] >= level || level < near[*i])
+            };
+            let set: Vec<usize> = cells.iter().copied().filter(is_due).collect();
+            self.follow(chains_over(&lattice, &set, stepover), stepover, &z, feed)?;
+            for i in set {
                 self.done[i] = self.done[i].min(z(i));
             }
-            last = level;
-            k += 1.0;
+            let deeper: Vec<usize> =
+                cells.into_iter().filter(|i| bottom[*i] < level - same).collect();
+            let under = parts(&lattice, &deeper).into_iter();
+            open.push(under.map(|cells| Pocket { cells, level: k + 1 }).collect());
         }
+        self.retract();
         Ok(())
     }
 
@@ -420,11 +464,14 @@ impl<'a> Stage<'a> {
         let z = |i: usize| bottom[i];
         let feed = self.process.feed;
         self.follow(rows(&self.lattice, face, step), apart, &z, feed)?;
+        self.retract();
         let mut rim = vec![false; bottom.len()];
         face.iter().for_each(|i| rim[*i] = true);
         // The first ring of a set is its rim; a second one would be this many cells inside it.
         const NO_OTHER: f64 = 1e9;
-        self.follow(chains(&self.lattice, &rim, NO_OTHER), apart, &z, feed)
+        self.follow(chains(&self.lattice, &rim, NO_OTHER), apart, &z, feed)?;
+        self.retract();
+        Ok(())
     }
 
     /// Lowest height cut within a stock's width and two cells of each cell.
@@ -458,6 +505,7 @@ impl<'a> Stage<'a> {
         for way in ways {
             self.touch_along(way, f64::NEG_INFINITY);
         }
+        self.retract();
         Ok(())
     }
 
@@ -468,7 +516,7 @@ impl<'a> Stage<'a> {
         let deepest = way.iter().map(|t| t.z).fold(f64::INFINITY, f64::min);
         let step = self.process.step_down.max(LEAST_STEP_SHARE * self.lattice.s);
         let mut level = top;
-        let mut last: Option<DVec3> = None;
+        let (mut last, mut is_first): (Option<DVec3>, _) = (None, true);
         loop {
             level = (level - step).max(deepest);
             for (k, tip) in way.iter().enumerate() {
@@ -479,12 +527,9 @@ impl<'a> Stage<'a> {
                     continue;
                 }
                 last = Some(to);
-                if self.at.is_none() {
-                    self.go(MoveKind::Rapid, cell, aside, self.safe, 0.0);
-                    let near = (top + CLEARANCE_MM).max(z);
-                    if near < self.safe {
-                        self.go(MoveKind::Approach, cell, aside, near, self.process.approach_feed);
-                    }
+                if is_first {
+                    self.enter((cell, aside), (top + ENTRY_MM).max(z));
+                    is_first = false;
                 }
                 let feed = if k == 0 { self.process.plunge_feed } else { self.process.feed };
                 self.go(MoveKind::Cut, cell, aside, z, feed);
@@ -494,18 +539,24 @@ impl<'a> Stage<'a> {
             }
             way.reverse();
         }
-        self.retract();
+        self.chain = None;
     }
 
     /// Height at which a tip over the cells around a place meets material.
     fn stands_over(&self, tip: DVec3) -> f64 {
+        let over =
+            self.cells_around(tip.truncate()).map(|c| self.stock.over(self.lattice.index(c)));
+        f64::from(over.fold(f32::NEG_INFINITY, f32::max))
+    }
+
+    /// The cells between whose middles a place lies.
+    fn cells_around(&self, at: DVec2) -> impl Iterator<Item = Cell> + use<> {
         let l = &self.lattice;
-        let g = (tip.truncate() - l.origin) / l.s;
+        let g = (at - l.origin) / l.s;
         let span =
             |x: f64, n: usize| x.floor().max(0.0) as usize..(x.ceil().max(0.0) as usize + 1).min(n);
-        let cells = span(g.y, l.n[1]).flat_map(|j| span(g.x, l.n[0]).map(move |i| [i, j]));
-        let over = cells.map(|c| self.stock.over(l.index(c)));
-        f64::from(over.fold(f32::NEG_INFINITY, f32::max))
+        let (columns, rows) = (span(g.x, l.n[0]), span(g.y, l.n[1]));
+        rows.flat_map(move |j| columns.clone().map(move |i| [i, j]))
     }
 
     /// Contour-parallel passes over a set of cells.
@@ -519,7 +570,9 @@ impl<'a> Stage<'a> {
         if !set.contains(&true) {
             return Ok(());
         }
-        self.follow(chains(&self.lattice, set, stepover), stepover, z, feed)
+        self.follow(chains(&self.lattice, set, stepover), stepover, z, feed)?;
+        self.retract();
+        Ok(())
     }
 
     fn follow(
@@ -530,32 +583,33 @@ impl<'a> Stage<'a> {
         feed: f64,
     ) -> Result<(), Cancelled> {
         let at = self.at.map(|(c, _)| c);
-        for chain in nearest_order(lines, at) {
+        for (i, chain) in nearest_order(lines, at).into_iter().enumerate() {
             self.work.ctx.check()?;
-            if !self.link(chain[0], stepover, z) {
+            let to = chain[0];
+            let linked = self.link(to, stepover, z, i == 0)
+                || (i == 0 && self.go_back(to, stepover) && self.link(to, stepover, z, true));
+            if !linked {
                 let way = ramp(&self.lattice, &chain, z, &|i| self.stock.over(i), self.safe);
-                self.enter(chain[0], way.from, f64::from(z(self.lattice.index(chain[0]))));
+                let end = f64::from(z(self.lattice.index(to)));
+                self.enter((to, DVec2::ZERO), (way.from + ENTRY_MM).max(end));
             }
             self.sink(&chain, z, feed);
+            self.chain = self.moves.len().checked_sub(1);
             for k in 1..chain.len() {
                 self.cut_to(&chain[k..], z, feed);
             }
         }
-        self.retract();
         Ok(())
     }
 
     /// Goes over the first cell of the next chain, no lower than what lies on the way, when it is
-    /// near and the way is free; false when a retract is needed.
-    fn link(&mut self, to: Cell, stepover: f64, z: &dyn Fn(usize) -> f32) -> bool {
-        /// Chains farther apart than this many stepovers are linked over the safe height.
-        const FAR: f64 = 4.0;
-        /// Places of a way that are looked at, in each cell: of spires 62° steep 0.012 mm goes unseen on cells of 0.5 mm.
-        const LOOKS: f64 = 4.0;
+    /// near and the way is free; false when a retract is needed. From what was cut at another level (`anew`)
+    /// the way goes through no more than a level of what may stand beside it.
+    fn link(&mut self, to: Cell, stepover: f64, z: &dyn Fn(usize) -> f32, anew: bool) -> bool {
         let Some((from, z0)) = self.at else { return false };
         let d = [to[0] as f64 - from[0] as f64, to[1] as f64 - from[1] as f64];
         let gap = d[0].hypot(d[1]);
-        if gap > FAR * stepover.max(1.0) {
+        if gap > FAR_STEPOVERS * stepover.max(1.0) {
             return false;
         }
         let n = (LOOKS * gap).ceil().max(1.0);
@@ -567,7 +621,11 @@ impl<'a> Stage<'a> {
                 (from[0] as f64 + t * d[0]).round() as usize,
                 (from[1] as f64 + t * d[1]).round() as usize,
             ];
-            over = over.max(f64::from(z(self.lattice.index(c))));
+            let at = self.lattice.index(c);
+            over = over.max(f64::from(z(at)));
+            if anew {
+                over = over.max(f64::from(self.stock.over(at)) - self.process.step_down);
+            }
             // The way crosses the lattice between its cells, where a ridge may be higher.
             if let Some(meshes) = &self.meshes {
                 over = over.max(meshes.lowest(start.lerp(end, t), &self.fine));
@@ -582,15 +640,96 @@ impl<'a> Stage<'a> {
         true
     }
 
-    /// Over the safe height to a cell, and down to where material begins, at `from`; `z` is the
-    /// height of the pass there.
-    fn enter(&mut self, cell: Cell, from: f64, z: f64) {
-        self.retract();
-        self.push(MoveKind::Rapid, cell, self.safe, 0.0);
-        let near = (from + CLEARANCE_MM).max(z);
-        if near < self.safe {
-            self.push(MoveKind::Approach, cell, near, self.process.approach_feed);
+    /// Back along the last chain to where it began, when that is near a cell and sooner than over the safe height.
+    fn go_back(&mut self, to: Cell, stepover: f64) -> bool {
+        let (Some(began), Some((_, z))) = (self.chain, self.at) else { return false };
+        let plane = self.lattice.plane;
+        let tips: Vec<DVec3> = self.moves[began..]
+            .iter()
+            .map(|m| plane.across(m.tip).extend(plane.height(m.tip)))
+            .collect();
+        let Some(cell) = self.lattice.cell(tips[0].truncate()) else { return false };
+        let gap = [0, 1].map(|a| cell[a] as f64 - to[a] as f64);
+        let length: f64 = tips.windows(2).map(|w| w[0].distance(w[1])).sum();
+        let over = self.over_safe_min(z, tips[0].z) + ENTRY_MM / self.process.plunge_feed;
+        if gap[0].hypot(gap[1]) > FAR_STEPOVERS * stepover.max(1.0)
+            || length / self.process.feed > over
+        {
+            return false;
         }
+        self.chain = None;
+        for tip in tips.into_iter().rev().skip(1) {
+            if let Some(cell) = self.lattice.cell(tip.truncate()) {
+                let aside = tip.truncate() - self.lattice.uv(cell);
+                self.go(MoveKind::Cut, cell, aside, tip.z, self.process.feed);
+            }
+        }
+        true
+    }
+
+    /// Minutes from one height up to the safe one and down to another.
+    fn over_safe_min(&self, from: f64, to: f64) -> f64 {
+        let rapid = self.work.job.machine.control.rapid_mm_min;
+        (self.safe - from) / rapid + (self.safe - to) / self.process.approach_feed
+    }
+
+    /// Over what stands on the way, or over the safe height where that is sooner, to a place beside a cell, and down to
+    /// a height `near` over material.
+    fn enter(&mut self, (cell, aside): (Cell, DVec2), near: f64) {
+        let feed = self.process.approach_feed;
+        match (self.hop((cell, aside), near), self.at) {
+            (Some(over), Some((from, _))) => {
+                self.go(MoveKind::Approach, from, self.aside, over, feed);
+                self.go(MoveKind::Approach, cell, aside, over, feed);
+            }
+            _ => {
+                self.retract();
+                self.go(MoveKind::Rapid, cell, aside, self.safe, 0.0);
+            }
+        }
+        if self.at.is_some_and(|(_, z)| near < z) {
+            self.go(MoveKind::Approach, cell, aside, near, feed);
+        }
+    }
+
+    /// The height at which the tip goes straight to a place beside a cell, clear of what stands and of what is still to
+    /// cut; none where no such way is known or the one over the safe height is sooner.
+    fn hop(&self, (to, aside): (Cell, DVec2), near: f64) -> Option<f64> {
+        let (from, z) = self.at?;
+        let l = &self.lattice;
+        let (start, end) = (l.uv(from) + self.aside, l.uv(to) + aside);
+        let gap = start.distance(end);
+        let sooner = |over: f64| {
+            let hop = (over - z) + gap + (over - near);
+            let across = gap / self.work.job.machine.control.rapid_mm_min;
+            hop / self.process.approach_feed < self.over_safe_min(z, near) + across
+        };
+        let n = (LOOKS * gap / l.s).ceil().max(1.0);
+        let (mut over, mut last) = (z.max(near), None);
+        for i in 0..=n as usize {
+            let at = start.lerp(end, i as f64 / n);
+            let c = l.cell(at)?;
+            // Beside the region the tool has no business but at the safe height.
+            if !self.top.data[l.index(c)].is_finite() {
+                return None;
+            }
+            if last != Some(c) {
+                let around = self.cells_around(at).map(|c| self.fine.tips.data[l.index(c)]);
+                let stands = around.fold(self.stock.over(l.index(c)), f32::max);
+                over = over.max(f64::from(stands) + ENTRY_MM);
+                last = Some(c);
+            }
+            if over >= self.safe || !sooner(over) {
+                return None;
+            }
+        }
+        // Between the cells something may be higher.
+        let mut on = None;
+        let mut is_free = |i: usize| {
+            let at = start.lerp(end, i as f64 / n);
+            self.meshes.as_ref().is_none_or(|m| m.is_free(at, over, &self.fine, &mut on))
+        };
+        (0..=n as usize).all(&mut is_free).then_some(over)
     }
 
     fn retract(&mut self) {
@@ -599,7 +738,7 @@ impl<'a> Stage<'a> {
         {
             self.push(MoveKind::Rapid, c, self.safe, 0.0);
         }
-        self.at = None;
+        (self.at, self.chain) = (None, None);
     }
 
     /// From above the first cell of a pass down to its height, by a ramp through material.

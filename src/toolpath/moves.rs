@@ -8,7 +8,7 @@ use crate::plan::StepKind;
 pub enum MoveKind {
     /// As fast as the axes go: at the safe height, or straight away from the work along the axis.
     Rapid,
-    /// Straight down the axis through cleared space, at feed.
+    /// At feed through cleared space: straight up or down the axis, or across over what stands.
     Approach,
     /// The edge cuts.
     Cut,

@@ -17,14 +17,17 @@ pub(super) struct Milling {
     pub approach_feed: f64,
 }
 
-/// Approaches through cleared space go this many times as fast as the cut: fast enough not to
-/// count, slow enough that a mistake of the setup can be stopped by hand.
+/// Approaches through cleared space go this many times as fast as the cut and at least at this feed, mm/min: fast
+/// enough not to count, slow enough that a mistake of the setup can be stopped by hand.
 const APPROACH_FACTOR: f64 = 2.0;
+const LEAST_APPROACH: f64 = 2000.0;
 
-/// Distance from the work at which an approach ends and the cut begins, and the height over
-/// everything at which the tool goes across, mm. Below a millimetre, errors of clamping would touch;
+/// Height over everything at which the tool goes across, mm. Below a millimetre, errors of clamping would touch;
 /// above a few, programs lose time in air.
 pub(super) const CLEARANCE_MM: f64 = 2.0;
+
+/// Distance from the work at which an approach ends and the cut begins, mm: from there on it goes as slow as into material.
+pub(super) const ENTRY_MM: f64 = 1.0;
 
 impl Milling {
     /// The tool's own figures, capped by what the control allows.
@@ -39,7 +42,9 @@ impl Milling {
             scallop: p.scallop_mm,
             feed,
             plunge_feed: control.plunge(p),
-            approach_feed: (APPROACH_FACTOR * feed).min(control.max_feed_mm_min),
+            approach_feed: (APPROACH_FACTOR * feed)
+                .max(LEAST_APPROACH)
+                .min(control.max_feed_mm_min),
         }
     }
 

@@ -194,6 +194,56 @@ fn cutters_clear_what_stays_and_sweep_what_goes() {
     }
 }
 
+/// Two pits were once cut level by level in turn, with a way over the safe height and back at each.
+#[test]
+fn a_pit_is_cut_to_its_ground_before_the_next() {
+    let pits: Part = |p| {
+        let high = DVec3::new(9.0, 15.0, 12.0);
+        let one = in_pocket(p, DVec3::new(3.0, 5.0, 2.0), high);
+        one || in_pocket(p - DVec3::X * 12.0, DVec3::new(3.0, 5.0, 2.0), high)
+    };
+    let size = DVec3::new(24.0, 20.0, 14.0);
+    let w = world("generic-5axis", 0.5, size, block, &[(StepKind::Subtractive, DVec3::Z, pits)]);
+    let path = &paths(&w)[0];
+    let is_left = |m: &Move| m.tip.x < 12.0;
+    let cuts: Vec<&Move> = path.moves.iter().filter(|m| m.kind == MoveKind::Cut).collect();
+    // From one pit to the other by rough levels, by finer ones along the walls, over the ground, and for what is left.
+    let turns = cuts.windows(2).filter(|w| is_left(w[0]) != is_left(w[1])).count();
+    let levels = 10.0 / w.job.tool(&path.tool).unwrap().roughing_steps_mm()[0];
+    assert!(levels > 6.0 && turns > 0 && turns <= 8, "{levels} {turns}");
+    let rapids = path.moves.iter().filter(|m| m.kind == MoveKind::Rapid).count();
+    assert!(rapids < 60, "{rapids}");
+    assert!(path.figures.coverage > 0.99, "{:?}", path.figures);
+}
+
+/// Ways over what stands keep clear of it, and of what is still to cut, by a millimetre.
+#[test]
+fn ways_over_what_stands_are_lower_than_the_safe_height_and_clear() {
+    let mut hops = 0;
+    for w in [pocket("generic-5axis"), tilted("generic-5axis")] {
+        let path = &paths(&w)[0];
+        let step = &w.plan.steps[0];
+        let after = w.job.initial.minus(&step.region);
+        let points: Vec<DVec3> =
+            after.boundary().iter_ones().map(|v| w.job.frame.center(v)).collect();
+        let tool = w.job.tool(&path.tool).unwrap();
+        let plane = path.direction.image_plane();
+        for m in path.moves.windows(2).filter(|m| m[1].kind == MoveKind::Approach) {
+            let [a, b] = [0, 1].map(|k| m[k].tip);
+            if plane.across(a).distance(plane.across(b)) < 1e-6 {
+                continue;
+            }
+            hops += 1;
+            assert!(plane.height(a) < path.safe_height - 1e-6);
+            for k in 0..=20 {
+                let tip = a.lerp(b, f64::from(k) / 20.0);
+                assert!(!touches(tool, &points, path.direction, tip, 0.01), "{tip}");
+            }
+        }
+    }
+    assert!(hops > 0);
+}
+
 /// Of a block of a few voxels one is more than the program's check lets stand; the lattice of tips
 /// takes a tip for up to a cell from where it is. Here they are the bottom of a groove in which the
 /// cutter has little room.

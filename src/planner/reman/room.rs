@@ -22,7 +22,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Mutex, PoisonError};
 
 /// How deep its edge may bring a cutter into a surface, mm: a little less than what counts as a gouge.
-const GOUGE_MM: f64 = 0.045;
+const DEEP_MM: f64 = 0.045;
 
 /// How deep in it a fixed point may be, mm: steps to and fro between points and a surface come no nearer to a place
 /// free of both.
@@ -146,7 +146,7 @@ impl Walls<'_> {
         radius: f64,
         than: Option<f64>,
     ) -> Option<(f64, DVec3, DVec3)> {
-        let near = self.surface.nearer(middle, radius - than.unwrap_or(GOUGE_MM));
+        let near = self.surface.nearer(middle, radius - than.unwrap_or(DEEP_MM));
         let wall = near.map(|near| (radius - near.distance, near.point, near.normal));
         let least = wall.map(|(deep, ..)| deep).or(than).unwrap_or(FIXED_MM);
         let point = self.fixed.and_then(|fixed| fixed.nearer(middle, radius - least));
@@ -312,7 +312,7 @@ mod tests {
             for k in 1..10 {
                 let p = DVec3::new(4.5, 4.0, 3.0 + width * f64::from(k) / 10.0);
                 for radius in [0.5, 0.7, 1.0, 1.5] {
-                    let fits = 2.0 * (radius - GOUGE_MM) <= width;
+                    let fits = 2.0 * (radius - DEEP_MM) <= width;
                     let edge = Edge { radii: [radius; 2], axis: DVec3::NEG_X, length: 20.0 };
                     let found = edge.has_room(alone(&surface), p, 0.1);
                     assert!(found == fits, "{width} {k} {radius}");

@@ -119,6 +119,7 @@ impl Stage<'_> {
             let top = self.top_within(left.slack, &way, &left.voxels);
             self.touch_along(way, top);
         }
+        self.retract();
         self.take_off(left);
         Ok(())
     }
@@ -180,6 +181,7 @@ impl Stage<'_> {
             {
                 let top = self.top_within(left.slack, &[tip], &left.voxels);
                 self.touch_along(vec![tip], top);
+                self.retract();
                 self.take_off(left);
             }
         }
