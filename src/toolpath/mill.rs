@@ -3,7 +3,8 @@
 //! Method: over the tip lattice of the plan's rules, H(u, v) is the lowest height at which the whole
 //! tool is free of the output state and the fixed points, `top` the height at which its edge first meets
 //! the region, `floor` the lowest height worth going to. Roughing takes levels a step-down apart, contour
-//! parallel, at z = max(level, H + stock, floor), one pocket down to its ground before the next; finishing follows
+//! parallel, at z = max(level, H + stock, floor), one pocket down to its ground before the next, but none deeper under
+//! what is still to cut beside it than the edge is long; finishing follows
 //! max(H, floor) a scallop stepover apart; rest cutting (`rest`) goes once more where region is still uncovered. Into
 //! material the tip goes by a ramp along the pass (see `ramp`). From one place to the next it goes through what is cut
 //! where that is near, over what stands where that is sooner than over the safe height.
@@ -360,7 +361,7 @@ impl<'a> Stage<'a> {
     }
 
     /// Cuts down to `bottom` in levels, where that is below `ceiling`: one pocket to its ground before the next, so that
-    /// the tool seldom leaves one. Levels above what was already cut `near` a cell are passed over: only air is left
+    /// the tool seldom leaves one, or as deep as the edge is long before any goes deeper. Levels above what was already cut `near` a cell are passed over: only air is left
     /// there.
     fn levels(&mut self, bottom: &[f32], ceiling: &[f32], near: &[f32]) -> Result<(), Cancelled> {
         let same = SAME_HEIGHT_MM as f32;
@@ -374,14 +375,20 @@ impl<'a> Stage<'a> {
         let step = self.process.step_down.max(least) as f32;
         let stepover = self.process.stepover / self.lattice.s;
         let (lattice, feed) = (self.lattice, self.process.feed);
+        // What is still to cut beside a pocket must not meet shank or holder: none goes deeper under it than the edge is long.
+        let at_once = ((self.work.tool.active_length() / f64::from(step)) as usize).max(1);
         let first = parts(&lattice, &due).into_iter().map(|cells| Pocket { cells, level: 1 });
-        // The pockets under one that are still to be cut, of the deepest last.
-        let mut open: Vec<Vec<Pocket>> = vec![first.collect()];
+        // The pockets that are still to be cut, those under one together, of the deepest last; and those of the next depth.
+        let (mut open, mut later): (Vec<Vec<Pocket>>, Vec<Pocket>) =
+            (vec![first.collect()], Vec::new());
         while let Some(beside) = open.last_mut() {
             self.work.ctx.check()?;
             let here = self.at.map(|(c, _)| c);
             let Some(Pocket { cells, level: k }) = nearest_pocket(&lattice, beside, here) else {
                 open.pop();
+                if open.is_empty() && !later.is_empty() {
+                    open.push(std::mem::take(&mut later));
+                }
                 continue;
             };
             let level = start - k as f32 * step;
@@ -399,7 +406,12 @@ impl<'a> Stage<'a> {
             let deeper: Vec<usize> =
                 cells.into_iter().filter(|i| bottom[*i] < level - same).collect();
             let under = parts(&lattice, &deeper).into_iter();
-            open.push(under.map(|cells| Pocket { cells, level: k + 1 }).collect());
+            let under = under.map(|cells| Pocket { cells, level: k + 1 });
+            if k.is_multiple_of(at_once) {
+                later.extend(under);
+            } else {
+                open.push(under.collect());
+            }
         }
         self.retract();
         Ok(())
@@ -713,12 +725,13 @@ impl<'a> Stage<'a> {
             if !self.top.data[l.index(c)].is_finite() {
                 return None;
             }
+            let around = self.cells_around(at).map(|c| self.fine.tips.data[l.index(c)]);
+            let mut stands = around.fold(f32::NEG_INFINITY, f32::max);
             if last != Some(c) {
-                let around = self.cells_around(at).map(|c| self.fine.tips.data[l.index(c)]);
-                let stands = around.fold(self.stock.over(l.index(c)), f32::max);
-                over = over.max(f64::from(stands) + ENTRY_MM);
+                stands = stands.max(self.stock.over(l.index(c)));
                 last = Some(c);
             }
+            over = over.max(f64::from(stands) + ENTRY_MM);
             if over >= self.safe || !sooner(over) {
                 return None;
             }

@@ -216,6 +216,45 @@ fn a_pit_is_cut_to_its_ground_before_the_next() {
     assert!(path.figures.coverage > 0.99, "{:?}", path.figures);
 }
 
+/// Of two bosses beside each other, higher than the edge is long, one to its ground before the other would bring the
+/// shank into that.
+#[test]
+fn shank_and_holder_keep_off_what_is_still_to_cut() {
+    let base: Part = |p| p.z < 2.0;
+    let bosses: Part = |p| {
+        let is_in = |low: f64| p.x > low && p.x < low + 4.0;
+        p.z > 2.0 && p.z < 36.0 && p.y > 2.0 && p.y < 6.0 && (is_in(2.0) || is_in(8.0))
+    };
+    let start: Part = |p| p.x > 0.0 && p.z < 36.0;
+    let size = DVec3::new(14.0, 8.0, 40.0);
+    let cut = [(StepKind::Subtractive, DVec3::Z, bosses)];
+    let mut w = world("generic-5axis", 0.5, size, start, &cut);
+    // The bosses stand alone.
+    let region = w.plan.steps[0].region.clone();
+    w.job.target = BitGrid::from_fn(w.job.frame.dims, |v| base(w.job.frame.center(v)));
+    w.job.initial = w.job.target.or(&region);
+    w.plan.steps[0].tool = "ball-1.4x24".into();
+    let path = &paths(&w)[0];
+    let tool = w.job.tool(&path.tool).unwrap();
+    let mut left: Vec<DVec3> = region.iter_ones().map(|v| w.job.frame.center(v)).collect();
+    let edge = tool.active_length();
+    let mut deepest = f64::INFINITY;
+    for m in path.moves.windows(2).filter(|m| m[1].kind == MoveKind::Cut) {
+        let n = (m[0].tip.distance(m[1].tip) / 0.25).ceil().max(1.0) as usize;
+        for tip in (0..=n).map(|k| m[0].tip.lerp(m[1].tip, k as f64 / n as f64)) {
+            deepest = tip.z.min(deepest);
+            left.retain(|p| {
+                let rho = p.truncate().distance(tip.truncate());
+                let over = p.z - tip.z;
+                let in_body = over > edge && over > tool.lower_surface(rho) + 0.25;
+                assert!(!in_body, "at {tip} the shank is in {p}, {over} over it");
+                over <= tool.active_lower_surface((rho - 0.25).max(0.0)) - 0.25
+            });
+        }
+    }
+    assert!(deepest < 3.0 && left.len() * 50 < region.count(), "{deepest} {}", left.len());
+}
+
 /// Ways over what stands keep clear of it, and of what is still to cut, by a millimetre.
 #[test]
 fn ways_over_what_stands_are_lower_than_the_safe_height_and_clear() {
