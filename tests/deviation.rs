@@ -39,3 +39,21 @@ fn a_narrow_gap_is_not_gouged_by_more_than_a_nick() {
     let [gouged, _, deepest, left, ..] = found[..] else { panic!("{found:?}") };
     assert!(gouged == 0.0 && deepest <= 0.1 && left == 0.0, "{found:?}");
 }
+
+/// With this machine's cutters a hundred voxels of a crease are left to tips of their own; for as many there were none, and
+/// the program was refused.
+#[test]
+fn a_crease_of_which_a_hundred_voxels_are_left_gets_a_program() {
+    let fixtures = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures");
+    let dir = tempfile::tempdir().unwrap();
+    let out = Command::new(env!("CARGO_BIN_EXE_hmplan"))
+        .args(["plan", "--setup", "keep", "--machine", "mx220", "-o"])
+        .arg(dir.path().join("out"))
+        .arg(fixtures.join("block_bracket_initial.obj"))
+        .arg(fixtures.join("block_bracket_target.obj"))
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert_eq!(out.status.code(), Some(0), "{text}{}", String::from_utf8_lossy(&out.stderr));
+    assert!(dir.path().join("out/out.gcode").is_file());
+}
