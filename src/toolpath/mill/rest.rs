@@ -31,7 +31,7 @@ const LEAST_SHARE: f64 = 0.981;
 /// Of a region of so few voxels a few, even a single one, are more than may be left.
 const FEW: usize = 4000;
 
-/// Of so few voxels that are left each gets a tip of its own, by exact distances: of a crease 23 mm long a hundred were.
+/// Of so few voxels that are left each gets a tip of its own, by exact distances: of a crease of 23 mm³ a hundred were.
 const FEWEST: usize = 256;
 
 /// Lumps this deep, as a share of the surface tolerance, are cut at the price of a gouge: the
