@@ -1,6 +1,6 @@
 //! Programs with one thing wrong: what an oracle of plain loops calls harmful, the check finds.
 //!
-//! `HMPLAN_MUTATIONS` sets how many programs are altered; 36 when it does not.
+//! `HMPLAN_MUTATIONS` sets how many programs are altered; 150 when it does not.
 
 use super::interpret::{Gait, Motion, Setting, run};
 use super::tests::{paths, report, told};
@@ -258,7 +258,7 @@ fn wrong_motion(s: &Sound, after: &[Motion]) -> bool {
 
 #[test]
 fn harmful_mutations_are_caught_with_their_line() {
-    let count = std::env::var("HMPLAN_MUTATIONS").ok().and_then(|n| n.parse().ok()).unwrap_or(36);
+    let count = std::env::var("HMPLAN_MUTATIONS").ok().and_then(|n| n.parse().ok()).unwrap_or(150);
     let on = |make: &(&str, Make), machine: &str| Sound::new(make.1, machine);
     let mut sound: Vec<Sound> = WORLDS.iter().map(|w| on(w, MACHINES[0])).collect();
     sound.extend(MACHINES[1..].iter().map(|machine| on(&WORLDS[2], machine)));
@@ -297,5 +297,5 @@ fn harmful_mutations_are_caught_with_their_line() {
     println!("of each kind, how many, harmful, caught: {kinds:?}");
     assert!(escaped.is_empty(), "{} escaped:\n{}", escaped.len(), escaped.join("\n"));
     // Of 300 it is 132: most retracts that can be removed lead over what is cut already.
-    assert!(harmful >= count / 4, "only {harmful} of {count} do harm: the oracle is blind");
+    assert!(harmful >= count / 3, "only {harmful} of {count} do harm: the oracle is blind");
 }
