@@ -56,17 +56,31 @@ fn within(
     (low[1]..=high[1]).flat_map(move |j| (low[0] + nx * j)..=(high[0] + nx * j))
 }
 
-/// The part of a lattice around some of its cells and one more on each side, as a lattice of its own, with its first
-/// cell.
-fn around(lattice: &Lattice, cells: &[usize]) -> (Lattice, Cell) {
-    let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
-    for c in cells.iter().map(|k| lattice.cell_of_index(*k)) {
-        low = [0, 1].map(|a| c[a].min(low[a]));
-        high = [0, 1].map(|a| c[a].max(high[a]));
+/// A lattice's part around some of its cells and one more on each side.
+struct Part {
+    /// As a lattice of its own.
+    lattice: Lattice,
+    low: Cell,
+    /// The cells, as indices of the part, in their order.
+    cells: Vec<usize>,
+}
+
+impl Part {
+    fn around(lattice: &Lattice, cells: &[usize]) -> Part {
+        let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+        for c in cells.iter().map(|k| lattice.cell_of_index(*k)) {
+            low = [0, 1].map(|a| c[a].min(low[a]));
+            high = [0, 1].map(|a| c[a].max(high[a]));
+        }
+        let low = [0, 1].map(|a| low[a].saturating_sub(1).min(high[a]));
+        let n = [0, 1].map(|a| (high[a] + 2).min(lattice.n[a]) - low[a]);
+        let part = Lattice { origin: lattice.uv(low), n, ..*lattice };
+        let moved = |k: &usize| {
+            let c = lattice.cell_of_index(*k);
+            part.index([c[0] - low[0], c[1] - low[1]])
+        };
+        Part { cells: cells.iter().map(moved).collect(), lattice: part, low }
     }
-    let low = [0, 1].map(|a| low[a].saturating_sub(1).min(high[a]));
-    let n = [0, 1].map(|a| (high[a] + 2).min(lattice.n[a]) - low[a]);
-    (Lattice { origin: lattice.uv(low), n, ..*lattice }, low)
 }
 
 /// The same as [`chains`] over a set that is given by its cells, without a look at the others.
@@ -74,13 +88,9 @@ pub(super) fn chains_over(lattice: &Lattice, cells: &[usize], stepover: f64) -> 
     if cells.is_empty() {
         return Vec::new();
     }
-    let (part, low) = around(lattice, cells);
-    let moved = |k: usize| {
-        let c = lattice.cell_of_index(k);
-        part.index([c[0] - low[0], c[1] - low[1]])
-    };
+    let Part { lattice: part, low, cells } = Part::around(lattice, cells);
     let mut set = vec![false; part.cells()];
-    cells.iter().for_each(|k| set[moved(*k)] = true);
+    cells.iter().for_each(|k| set[*k] = true);
     let mut all = chains(&part, &set, stepover);
     all.iter_mut().flatten().for_each(|c| *c = [c[0] + low[0], c[1] + low[1]]);
     all
@@ -92,16 +102,12 @@ pub(super) fn parts(lattice: &Lattice, cells: &[usize]) -> Vec<Vec<usize>> {
     if cells.is_empty() {
         return Vec::new();
     }
-    let (part, low) = around(lattice, cells);
-    let moved = |k: usize| {
-        let c = lattice.cell_of_index(k);
-        part.index([c[0] - low[0], c[1] - low[1]])
-    };
+    let Part { lattice: part, cells: moved, .. } = Part::around(lattice, cells);
     // Which part a cell is of; that of none is one more than there can be.
     let mut of = vec![NONE; part.cells()];
-    cells.iter().for_each(|k| of[moved(*k)] = NONE - 1);
+    moved.iter().for_each(|k| of[*k] = NONE - 1);
     let (mut count, mut open) = (0u32, Vec::new());
-    for first in cells.iter().map(|k| moved(*k)) {
+    for first in moved.iter().copied() {
         if of[first] != NONE - 1 {
             continue;
         }
@@ -119,7 +125,7 @@ pub(super) fn parts(lattice: &Lattice, cells: &[usize]) -> Vec<Vec<usize>> {
         count += 1;
     }
     let mut all = vec![Vec::new(); count as usize];
-    cells.iter().for_each(|k| all[of[moved(*k)] as usize].push(*k));
+    cells.iter().zip(&moved).for_each(|(k, at)| all[of[*at] as usize].push(*k));
     all
 }
 
