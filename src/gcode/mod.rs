@@ -21,6 +21,7 @@ mod program;
 mod reach;
 mod report;
 mod skyline;
+mod standing;
 mod sweep;
 #[cfg(test)]
 mod dialect_tests;

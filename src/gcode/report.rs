@@ -26,6 +26,8 @@ pub enum Rule {
     /// No cutter enters what must stay deeper than the surface tolerance, no nozzle deeper than a
     /// voxel's diagonal.
     Gouge,
+    /// Neither shank nor holder meets what the step itself cuts only later.
+    Holder,
     /// Cutting stays over the step's region, beads in it.
     Astray,
     /// No cut takes more than half its width much deeper than a roughing level, or straight down.
@@ -51,6 +53,7 @@ impl Rule {
             Rule::Direction => "direction",
             Rule::Rapid => "rapid",
             Rule::Gouge => "gouge",
+            Rule::Holder => "holder",
             Rule::Astray => "astray",
             Rule::Engagement => "engagement",
             Rule::Volume => "volume",

@@ -1,14 +1,14 @@
 //! One step of a program against the workpiece: what its tool touches, sweeps and fills.
 //!
 //! Method: every move is sampled at most half a pitch apart; at each sample the analytic tool is
-//! held against the voxel centres that must stay. Guarantees: what is reported happens at a
-//! sampled position. Not guaranteed: that a holder clears material which the step itself removes
-//! later; contact shallower than the stated depth.
+//! held against the voxel centres that must stay; what the step itself removes later is `standing`'s. Guarantees: what is
+//! reported happens at a sampled position. Not guaranteed: contact shallower than the stated depth.
 
 use super::beads::beads;
 use super::interpret::{Gait, MOST_FINDINGS, Motion};
 use super::report::{Finding, Rule, StepFigures};
 use super::skyline::Skyline;
+use super::standing::holders;
 use crate::base::{Ctx, DVec2, DVec3, ImagePlane};
 use crate::machine::{Machine, Tool};
 use crate::plan::{Step, StepKind};
@@ -281,13 +281,20 @@ fn cuts(scene: &Scene, motions: &[Motion]) -> (StepFigures, Vec<Finding>) {
         let tips = feeds.take_while(|_| goes_on()).flat_map(|m| samples(m, h / 2.0));
         unswept(points, &lowest, scene.tool, tips, slack)
     };
-    let (near, too_much) =
-        rayon::join(|| left(&centers, slack), || engagement(scene, motions, &centers, &lowest));
+    let (near, (too_much, met)) = rayon::join(
+        || left(&centers, slack),
+        || {
+            rayon::join(
+                || engagement(scene, motions, &centers, &lowest),
+                || holders(scene, motions),
+            )
+        },
+    );
     let swept = centers.len() - near.len();
     figures.coverage = swept as f64 / centers.len() as f64;
     figures.removed_mm3 = swept as f64 * scene.frame.voxel_volume();
     let mut findings = astray.findings;
-    findings.extend(too_much);
+    findings.extend(too_much.into_iter().chain(met));
     // What is missed by more is missed by less.
     let missed = left(if scene.tolerance >= slack { &near } else { &centers }, scene.tolerance);
     if missed.len() >= LEAST_LUMP {

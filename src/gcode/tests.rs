@@ -1,6 +1,9 @@
 use super::*;
 use crate::base::Ctx;
-use crate::toolpath::tests::{MACHINES, WORLDS, World, pocket, tilted, tower, treads};
+use crate::machine::Shape;
+use crate::toolpath::tests::{
+    MACHINES, WORLDS, World, bosses, pocket, shoulder, tilted, tower, treads,
+};
 use crate::toolpath::{Toolpaths, for_unverified};
 
 pub(super) fn paths(w: &World) -> Toolpaths {
@@ -35,6 +38,36 @@ fn every_world_passes_on_every_machine() {
             }
         }
     }
+}
+
+/// Of a step what stood beside a wall, its stock, was once finished after the wall, under the holder.
+#[test]
+fn stock_is_taken_before_the_holder_comes_over_it() {
+    let w = shoulder("generic-5axis");
+    let r = report(&w, &posted(&w));
+    assert!(r.passed(), "{}", told(&r));
+}
+
+/// The program is that of a tool whose holder begins far up; run with one that begins lower it meets nothing that stays.
+#[test]
+fn a_holder_in_what_is_still_to_be_cut_is_caught() {
+    let mut w = bosses("generic-5axis");
+    let text = posted(&w);
+    assert!(report(&w, &text).passed());
+    let name = w.plan.steps[0].tool.clone();
+    let tool = w.job.cutters.iter_mut().find(|t| t.name == name).unwrap();
+    for s in tool.sections.iter_mut().filter(|s| !s.active) {
+        s.shape = Shape::Frustum { z0: 9.0, r0: 7.0, z1: 80.0, r1: 7.0 };
+    }
+    let r = report(&w, &text);
+    assert!(
+        !r.findings.is_empty() && r.findings.iter().all(|f| f.rule == Rule::Holder),
+        "{}",
+        told(&r)
+    );
+    // The bosses are 34 mm high: the holder comes on the second when the tip is 9 mm down in the first.
+    let first = text.lines().nth(r.findings[0].line - 1).unwrap();
+    assert!(first.starts_with(['X', 'Y', 'Z', 'G']), "{first}");
 }
 
 /// The text with line `at` (from 1) replaced, or dropped for None.

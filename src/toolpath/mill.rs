@@ -4,7 +4,7 @@
 //! tool is free of the output state and the fixed points, `top` the height at which its edge first meets
 //! the region, `floor` the lowest height worth going to. Roughing takes levels a step-down apart, contour
 //! parallel, at z = max(level, H + stock, floor), one pocket down to its ground before the next, but none deeper under
-//! what is still to cut beside it than the edge is long; finishing follows
+//! what is still to cut beside it than the edge is long; finishing, of what lies above ever lower floors an edge's length apart, follows
 //! max(H, floor) a scallop stepover apart; rest cutting (`rest`) goes once more where region is still uncovered. Into
 //! material the tip goes by a ramp along the pass (see `ramp`). From one place to the next it goes through what is cut
 //! where that is near, over what stands where that is sooner than over the safe height.
@@ -334,20 +334,42 @@ impl<'a> Stage<'a> {
         free.data.iter().zip(&self.floor.data).zip(&self.top.data).map(pick).collect()
     }
 
+    /// Finishes what lies above ever lower floors, an edge's length apart: where the tip goes below one, all that could
+    /// meet shank or holder is gone, the stock that roughing left included.
     fn finish(&mut self) -> Result<(), Cancelled> {
         self.to_walls = true;
         let bottom = self.bottoms(&self.fine.tips);
+        let finite = |heights: &[f32]| -> Vec<f32> {
+            heights.iter().copied().filter(|z| z.is_finite()).collect()
+        };
+        let highest = finite(&self.top.data).into_iter().fold(f32::NEG_INFINITY, f32::max);
+        let deepest = finite(&bottom).into_iter().fold(f32::INFINITY, f32::min);
+        // Material reaches half a voxel over its middle. Of an edge of no length to speak of a floor per level.
+        let length = self.work.tool.active_length() - self.work.frame.pitch / 2.0;
+        let apart = length.max(self.process.step_down) as f32;
+        let floors = ((highest - deepest) / apart).ceil().max(1.0) as usize;
+        for k in 1..floors {
+            self.finish_above(&bottom, highest - k as f32 * apart)?;
+        }
+        self.finish_above(&bottom, f32::NEG_INFINITY)?;
+        self.to_walls = false;
+        Ok(())
+    }
+
+    /// Finishes what is due of `bottom` down to a floor.
+    fn finish_above(&mut self, bottom: &[f32], floor: f32) -> Result<(), Cancelled> {
         let near = self.near()?;
         let same = SAME_HEIGHT_MM as f32;
+        let down_to: Vec<f32> = bottom.iter().map(|z| z.max(floor)).collect();
         let due: Vec<bool> = (0..bottom.len())
-            .map(|i| bottom[i] < self.top.data[i].min(self.done[i]) - same)
+            .map(|i| down_to[i] < self.top.data[i].min(self.done[i]) - same)
             .collect();
         // Where roughing could not enter, finishing must not plunge either.
         let deep: Vec<f32> = (0..bottom.len())
             .map(|i| {
-                let open = self.top.data[i].min(near[i]) - bottom[i];
+                let open = self.top.data[i].min(near[i]) - down_to[i];
                 let rough = due[i] && open > self.process.step_down as f32;
-                if rough { bottom[i] } else { f32::INFINITY }
+                if rough { down_to[i] } else { f32::INFINITY }
             })
             .collect();
         let ceiling = self.top.data.clone();
@@ -355,24 +377,26 @@ impl<'a> Stage<'a> {
         // Steep faces level by level, the others by passes as far apart: up to 45° either leaves
         // ridges no higher than the scallop.
         let ridge = self.process.finishing_stepover(self.work.tool) * DIAGONAL;
-        let steep: Vec<f32> = steepness(&self.lattice, &bottom)
+        let steep: Vec<f32> = steepness(&self.lattice, bottom)
             .iter()
             .enumerate()
-            .map(|(i, s)| if due[i] && *s > 1.0 { bottom[i] } else { f32::INFINITY })
+            .map(|(i, s)| if due[i] && *s > 1.0 { down_to[i] } else { f32::INFINITY })
             .collect();
         let near = self.near()?;
         let rough = self.process.step_down;
         self.process.step_down = ridge.min(rough);
         self.levels(&steep, &ceiling, &near)?;
         self.process.step_down = rough;
-        let mut flat: Vec<bool> =
-            (0..due.len()).map(|i| due[i] && steep[i].is_infinite()).collect();
+        // What lies below the floor is flat down there.
+        let mut flat: Vec<bool> = (0..due.len())
+            .map(|i| due[i] && steep[i].is_infinite() && bottom[i] >= floor)
+            .collect();
         let stepover = ridge / self.lattice.s;
         let z = |i: usize| bottom[i];
         let radius = self.work.tool.active_radius() / self.lattice.s;
         let least = (std::f64::consts::PI * radius * radius).ceil() as usize;
-        for face in faces(&self.lattice, &bottom, &flat, least) {
-            self.face(&face, &bottom)?;
+        for face in faces(&self.lattice, bottom, &flat, least) {
+            self.face(&face, bottom)?;
             for i in face {
                 flat[i] = false;
                 self.done[i] = self.done[i].min(bottom[i]);
@@ -382,7 +406,6 @@ impl<'a> Stage<'a> {
         for i in (0..bottom.len()).filter(|i| flat[*i]) {
             self.done[i] = self.done[i].min(bottom[i]);
         }
-        self.to_walls = false;
         Ok(())
     }
 

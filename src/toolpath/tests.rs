@@ -157,6 +157,37 @@ pub(crate) fn treads(machine: &str) -> World {
     world(machine, 0.5, size, stair, &[(StepKind::Additive, DVec3::Z, blocks)])
 }
 
+/// Two bosses that stand alone beside each other, higher than the edge of the cutter that takes them is long.
+pub(crate) fn bosses(machine: &str) -> World {
+    let base: Part = |p| p.z < 2.0;
+    let bosses: Part = |p| {
+        let is_in = |low: f64| p.x > low && p.x < low + 4.0;
+        p.z > 2.0 && p.z < 36.0 && p.y > 2.0 && p.y < 6.0 && (is_in(2.0) || is_in(8.0))
+    };
+    let start: Part = |p| p.x > 0.0 && p.z < 36.0;
+    let size = DVec3::new(14.0, 8.0, 40.0);
+    let mut w = world(machine, 0.5, size, start, &[(StepKind::Subtractive, DVec3::Z, bosses)]);
+    let region = w.plan.steps[0].region.clone();
+    w.job.target = BitGrid::from_fn(w.job.frame.dims, |v| base(w.job.frame.center(v)));
+    w.job.initial = w.job.target.or(&region);
+    w.plan.steps[0].tool = "ball-1.4x24".into();
+    w
+}
+
+/// A shoulder beside a floor hardly deeper than the edge is long: the holder reaches over it, and has no room for the
+/// stock that roughing leaves there.
+pub(crate) fn shoulder(machine: &str) -> World {
+    let start: Part = |p| p.x > 1.0 && p.x < 15.0 && p.y > 1.0 && p.y < 9.0 && p.z < 19.0;
+    let cut: Part = |p| {
+        let high = DVec3::splat(99.0);
+        p.z > 17.9 || in_pocket(p, DVec3::new(7.0, -9.0, 5.0), high)
+    };
+    let size = DVec3::new(16.0, 10.0, 20.0);
+    let mut w = world(machine, 0.1, size, start, &[(StepKind::Subtractive, DVec3::Z, cut)]);
+    w.plan.steps[0].tool = "ball-3x13".into();
+    w
+}
+
 /// Makes a world for the machine of this name.
 pub(crate) type Make = fn(&str) -> World;
 
@@ -220,20 +251,8 @@ fn a_pit_is_cut_to_its_ground_before_the_next() {
 /// shank into that.
 #[test]
 fn shank_and_holder_keep_off_what_is_still_to_cut() {
-    let base: Part = |p| p.z < 2.0;
-    let bosses: Part = |p| {
-        let is_in = |low: f64| p.x > low && p.x < low + 4.0;
-        p.z > 2.0 && p.z < 36.0 && p.y > 2.0 && p.y < 6.0 && (is_in(2.0) || is_in(8.0))
-    };
-    let start: Part = |p| p.x > 0.0 && p.z < 36.0;
-    let size = DVec3::new(14.0, 8.0, 40.0);
-    let cut = [(StepKind::Subtractive, DVec3::Z, bosses)];
-    let mut w = world("generic-5axis", 0.5, size, start, &cut);
-    // The bosses stand alone.
-    let region = w.plan.steps[0].region.clone();
-    w.job.target = BitGrid::from_fn(w.job.frame.dims, |v| base(w.job.frame.center(v)));
-    w.job.initial = w.job.target.or(&region);
-    w.plan.steps[0].tool = "ball-1.4x24".into();
+    let w = bosses("generic-5axis");
+    let region = &w.plan.steps[0].region;
     let path = &paths(&w)[0];
     let tool = w.job.tool(&path.tool).unwrap();
     let mut left: Vec<DVec3> = region.iter_ones().map(|v| w.job.frame.center(v)).collect();
