@@ -44,13 +44,26 @@ fn a_narrow_gap_is_not_gouged_by_more_than_a_nick() {
 /// the program was refused.
 #[test]
 fn a_crease_of_which_a_hundred_voxels_are_left_gets_a_program() {
+    plans(&["--machine", "mx220"], "block_bracket_initial.obj", "block_bracket_target.obj");
+}
+
+/// The needle was Ø 1.4 mm: along the walls of the flange's bore it left a film a voxel thicker than the skin, which
+/// nothing reached later. 117 mm³ were missing.
+#[test]
+fn a_deep_bore_is_filled_up_to_its_walls() {
+    plans(&[], "flange_initial.obj", "blade_target.obj");
+}
+
+/// A pair of fixtures gets a plan that leaves nothing, and a program.
+fn plans(options: &[&str], initial: &str, target: &str) {
     let fixtures = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures");
     let dir = tempfile::tempdir().unwrap();
     let out = Command::new(env!("CARGO_BIN_EXE_hmplan"))
-        .args(["plan", "--setup", "keep", "--machine", "mx220", "-o"])
+        .args(["plan", "--setup", "keep"])
+        .args(options)
+        .arg("-o")
         .arg(dir.path().join("out"))
-        .arg(fixtures.join("block_bracket_initial.obj"))
-        .arg(fixtures.join("block_bracket_target.obj"))
+        .args([fixtures.join(initial), fixtures.join(target)])
         .output()
         .unwrap();
     let text = String::from_utf8_lossy(&out.stdout).into_owned();

@@ -121,7 +121,7 @@ mod tests {
     use super::super::local_tests::{assert_verifies, job_of};
     use super::super::printing::{Patience, print_along_axes, print_blocks};
     use super::*;
-    use crate::machine::{Taken, Tool};
+    use crate::machine::{Section, Shape, Taken, Tool};
     use crate::voxel::Frame;
     use proptest::prelude::*;
 
@@ -194,7 +194,17 @@ mod tests {
         let outer = |v: [usize; 3]| from_axis(v) < 27.0;
         let [initial, target] =
             [BitGrid::from_fn(frame.dims, inner), BitGrid::from_fn(frame.dims, outer)];
-        let job = job_of(frame, initial, target, |t| t.taken <= Taken::LastResort);
+        let mut job = job_of(frame, initial, target, |t| t.taken <= Taken::LastResort);
+        // Wider than the machine's own needle, whose films are skin on this grid: with that all orders lay everything.
+        let part =
+            |z0, r0, z1, r1| Section { shape: Shape::Frustum { z0, r0, z1, r1 }, active: false };
+        job.nozzles.last_mut().unwrap().sections = vec![
+            part(0.0, 0.3, 1.5, 0.7),
+            part(1.5, 0.7, 15.0, 0.7),
+            part(15.0, 0.7, 25.0, 4.5),
+            part(25.0, 4.5, 60.0, 4.5),
+            part(60.0, 25.0, 140.0, 25.0),
+        ];
         let (setting, coarse) = (Setting::new(&job).with_last_resort(), Coarse::of(&job));
         let added = job.target.minus(&job.initial);
         let wanted = Wanted {
