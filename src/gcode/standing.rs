@@ -31,15 +31,16 @@ struct Standing<'a> {
     bounds: Vec<f64>,
     /// Not below any of the bounds.
     bound: f64,
+    /// See the module's head, mm.
     slack: f64,
-    /// Where the lowest of what does not cut begins over the tip.
+    /// Where the lowest of what does not cut begins over the tip, mm.
     clear: f64,
-    /// How far from the axis that reaches.
+    /// How far from the axis that reaches, mm.
     reach: f64,
 }
 
 impl<'a> Standing<'a> {
-    /// None when nothing of the tool but its edge comes near the region from any of the `tips`' heights.
+    /// None when nothing of the tool but its edge gets down to the region with its tip no lower than `lowest_tip`.
     fn new(
         tool: &'a Tool,
         direction: Direction,

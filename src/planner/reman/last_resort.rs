@@ -52,7 +52,7 @@ const HANGS_SHARE: f64 = 0.9;
 const TIP_VOXELS: usize = 10;
 
 /// Share of the target up to which what was missing is printed first in the next round: twice what counts as crumbs. On a worn
-/// figure a needle that laid nearly all straight up closed the way to a six-hundredth of it from the side.
+/// figure a needle that laid nearly all straight up closed the way from the side to a seven-hundredth of the target.
 const MOST_AHEAD: f64 = 2.0 * MOST_CRUMBS;
 
 /// How far around what was missing is printed first, mm: enough for a block with a bead in it.

@@ -34,8 +34,8 @@ fn nearest_pocket(lattice: &Lattice, some: &mut Vec<Pocket>, here: Option<Cell>)
 
 impl Stage<'_> {
     /// Cuts down to `bottom` in levels, where that is below `ceiling`: one pocket to its ground before the next, so that
-    /// the tool seldom leaves one, or as deep as the edge is long before any goes deeper. Levels above what was already cut `near` a cell are passed over: only air is left
-    /// there.
+    /// the tool seldom leaves one, or as deep as the edge is long before any goes deeper. Levels above what was already
+    /// cut `near` a cell are passed over: only air is left there.
     pub(super) fn levels(
         &mut self,
         bottom: &[f32],
