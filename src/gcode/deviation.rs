@@ -585,6 +585,35 @@ mod tests {
         assert!(under.len() > 100 && left <= 0.2, "{} of {}", left, under.len());
     }
 
+    /// Between a wall that stays and the old part's own wall, which goes later, there is room for the cutter by the
+    /// voxels but not by the surfaces: it went 0.08 mm into the one so as not to go into the other.
+    #[test]
+    fn the_old_parts_surface_that_goes_later_is_nicked_before_the_targets() {
+        const WALLS: [f64; 2] = [10.1, 12.95];
+        let block = |p: DVec3| {
+            let slot = p.x > WALLS[0] && p.x < WALLS[1] && p.z > 6.0;
+            p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 12.0 && !slot
+        };
+        let under: fn(DVec3) -> bool = |p| p.x > WALLS[0] && p.x < WALLS[1] && p.z > 3.0;
+        let beside: fn(DVec3) -> bool = |p| p.x > WALLS[0] && p.z > 3.0;
+        let cuts =
+            [(StepKind::Subtractive, DVec3::Z, under), (StepKind::Subtractive, DVec3::X, beside)];
+        let mut w = world("generic-5axis", 0.5, DVec3::new(24.0, 20.0, 14.0), block, &cuts);
+        w.plan.steps[0].tool = "ball-3x30".into();
+        let part = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
+        w.job.target_mesh = TriMesh::joined(&[
+            part([2.0, 2.0, 0.0], [22.0, 18.0, 3.0]),
+            part([2.0, 2.0, 3.0], [WALLS[0], 18.0, 12.0]),
+        ]);
+        w.job.initial_mesh = TriMesh::joined(&[
+            part([2.0, 2.0, 0.0], [22.0, 18.0, 6.0]),
+            part([2.0, 2.0, 6.0], [WALLS[0], 18.0, 12.0]),
+            part([WALLS[1], 2.0, 6.0], [22.0, 18.0, 12.0]),
+        ]);
+        let d = measured(&w);
+        assert!(d.gouge_mm <= GOUGE_MM, "{}", d.gouge_mm);
+    }
+
     /// Along an upright edge that runs between the voxels, both the mesh's pieces that voxels had
     /// lost and straight ways around it cost up to 0.1 mm of the edge.
     #[test]

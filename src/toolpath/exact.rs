@@ -5,7 +5,9 @@
 //! do not. The end of the cutter rests on those by drop-cutter. Faces that cuts leave inside M
 //! have no triangles: there the voxels are the obstacle, with their margin; so are they, without one,
 //! where material stands that later steps cut, supports among it. The tips of cells keep off the middles of the cells
-//! that these obstacles lie in, tips between them off the obstacles where they are. Shank and holder are held against the voxels alone.
+//! that these obstacles lie in, tips between them off the obstacles where they are. Where the target would be nicked else,
+//! tips may pass M's surface outside M*, which goes later, as far as its voxels' middles and a nick let them.
+//! Shank and holder are held against the voxels alone.
 //!
 //! Guarantees: over a surface of M or M* that stands, the tip is exact to rounding at every wanted cell of
 //! the lattice. Not guaranteed: within a voxel of the rim between two surfaces.
@@ -17,6 +19,7 @@ use super::mill::{Free, Work};
 use super::near::NEAR_PITCH;
 use super::standing::{Rim, standing};
 use crate::base::{Cancelled, DVec2, DVec3};
+use crate::voxel::BitGrid;
 use rayon::prelude::*;
 pub(super) struct Exact {
     end: End,
@@ -48,8 +51,8 @@ pub(super) struct Lowest {
 pub(super) struct Nick {
     /// Into the meshes.
     pub meshes: f64,
-    /// Past the middles of voxels outside the target that later steps cut, where no mesh stands for them: none of
-    /// their surface is to be kept.
+    /// Past the middles of voxels outside the target that later steps cut, where no mesh stands for them or tips may
+    /// pass it (see [`Exact::past`]): none of their surface is to be kept.
     pub passing: f64,
 }
 
@@ -86,43 +89,16 @@ impl Exact {
     /// None when the job has no meshes or the cutter's end is not one of [`End`].
     pub fn of(work: &Work, free: &Free) -> Result<Option<Exact>, Cancelled> {
         let Some(end) = End::of(work.tool) else { return Ok(None) };
-        let h = work.frame.pitch;
-        let meshes = [&work.job.target_mesh, &work.job.initial_mesh];
-        if meshes.iter().all(|m| m.is_empty()) {
+        if [&work.job.target_mesh, &work.job.initial_mesh].iter().all(|m| m.is_empty()) {
             return Ok(None);
         }
-        // What stands of either mesh's solid on its own side. Supports are of neither.
-        let outside = work.job.initial.minus(&work.job.target);
-        let stands = [work.after.and(&work.job.target), work.after.and(&outside)];
-        let lattice = free.window;
-        // A tip may stand up to a cell from those that are wanted.
-        let margin = DVec2::splat(end.radius() + h.max(2.0 * lattice.s));
-        let is_near = |low: DVec2, high: DVec2| free.wanted.any_within(low - margin, high + margin);
-        let mut triangles = Vec::new();
-        let wholes = [&work.job.target, &outside];
-        let rims = [Rim::Kept, Rim::Parted];
-        for (((mesh, solid), whole), rim) in meshes.iter().zip(&stands).zip(wholes).zip(rims) {
-            triangles.extend(standing(mesh, [solid, whole], work, &is_near, rim));
-        }
-        let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
-        let plane = lattice.plane;
-        let bare: Vec<([usize; 3], DVec3)> = shell
-            .par_iter()
-            .map(|v| (*v, work.frame.center(*v)))
-            .filter(|(_, p)| is_near(plane.across(*p), plane.across(*p)))
-            .filter(|(v, _)| {
-                let side = wholes.iter().position(|whole| whole.get(*v));
-                side.is_none_or(|side| !work.surfaces[side].get(*v))
-            })
-            .collect();
-        let (mut faces, mut passing) = (work.fixed.to_vec(), Vec::new());
-        for (v, p) in &bare {
-            let points = if work.job.target.get(*v) { &mut faces } else { &mut passing };
-            points.push(*p);
-        }
-        let drop = DropCutter::new(triangles, end.radius());
-        let mut resting = Image::empty(lattice);
-        let rows = resting.data.par_chunks_mut(lattice.n[0].max(1)).enumerate();
+        // No point of the surface is farther from its voxel.
+        let far = NEAR_PITCH * work.frame.pitch + free.window.s;
+        let bound = free.heights(work.tool, far, far, work.ctx)?;
+        let rims = [Rim::Kept, Rim::Parted].map(Some);
+        let mut exact = Exact::over(work, free, (end, bound), (rims, work.surfaces));
+        let (lattice, drop) = (free.window, &exact.drop);
+        let rows = exact.resting.data.par_chunks_mut(lattice.n[0].max(1)).enumerate();
         rows.try_for_each(|(j, row)| -> Result<(), Cancelled> {
             // Next to it the end mostly rests on the same triangle.
             let mut on = None;
@@ -133,11 +109,61 @@ impl Exact {
             }
             Ok(())
         })?;
-        // No point of the surface is farther from its voxel.
-        let far = NEAR_PITCH * h + lattice.s;
-        let bound = free.heights(work.tool, far, far, work.ctx)?;
+        Ok(Some(exact))
+    }
+
+    /// For tips between the lattice's cells that may pass what goes later: over the target's surface alone, to its rim.
+    /// Of what goes later the middles of voxels are kept, whether they have a surface or not.
+    pub fn past(&self, work: &Work, free: &Free) -> Exact {
+        let told = [work.surfaces[0].clone(), BitGrid::new(work.after.dims())];
+        let of = (self.end, self.bound.clone());
+        Exact::over(work, free, of, ([Some(Rim::Parted), None], &told))
+    }
+
+    /// Over what stands of M* and M along some rims, if any of it, with obstacles where voxels are not `told` by their
+    /// surfaces; nothing rests at the cells yet.
+    fn over(
+        work: &Work,
+        free: &Free,
+        (end, bound): (End, Image),
+        (rims, told): ([Option<Rim>; 2], &[BitGrid; 2]),
+    ) -> Exact {
+        let h = work.frame.pitch;
+        let (target, meshes) = (&work.job.target, [&work.job.target_mesh, &work.job.initial_mesh]);
+        // What stands of either mesh's solid on its own side. Supports are of neither.
+        let outside = work.job.initial.minus(target);
+        let stands = [work.after.and(target), work.after.and(&outside)];
+        let lattice = free.window;
+        // A tip may stand up to a cell from those that are wanted.
+        let margin = DVec2::splat(end.radius() + h.max(2.0 * lattice.s));
+        let is_near = |low: DVec2, high: DVec2| free.wanted.any_within(low - margin, high + margin);
+        let mut triangles = Vec::new();
+        let wholes = [target, &outside];
+        for (((mesh, solid), whole), rim) in meshes.iter().zip(&stands).zip(wholes).zip(rims) {
+            if let Some(rim) = rim {
+                triangles.extend(standing(mesh, [solid, whole], work, &is_near, rim));
+            }
+        }
+        let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
+        let plane = lattice.plane;
+        let bare: Vec<([usize; 3], DVec3)> = shell
+            .par_iter()
+            .map(|v| (*v, work.frame.center(*v)))
+            .filter(|(_, p)| is_near(plane.across(*p), plane.across(*p)))
+            .filter(|(v, _)| {
+                let side = wholes.iter().position(|whole| whole.get(*v));
+                side.is_none_or(|side| !told[side].get(*v))
+            })
+            .collect();
+        let (mut faces, mut passing) = (work.fixed.to_vec(), Vec::new());
+        for (v, p) in &bare {
+            let points = if target.get(*v) { &mut faces } else { &mut passing };
+            points.push(*p);
+        }
+        let drop = DropCutter::new(triangles, end.radius());
         let [faces, passing] = [faces, passing].map(|points| Bare::of(free.empty(), &points));
-        Ok(Some(Exact { end, drop, resting, bound, faces, passing, half: h / 2.0 }))
+        let resting = Image::empty(lattice);
+        Exact { end, drop, resting, bound, faces, passing, half: h / 2.0 }
     }
 
     pub fn end(&self) -> End {
@@ -205,7 +231,7 @@ impl Exact {
 
     /// Lowest tip anywhere at which the grown end is free of obstacles that no mesh stands for, but for a nick into
     /// what passes; of those above `enough` any.
-    fn past(&self, at: DVec2, (margin, nick): ([f64; 2], f64), enough: f64) -> f64 {
+    fn passed(&self, at: DVec2, (margin, nick): ([f64; 2], f64), enough: f64) -> f64 {
         let mut lowest = f64::NEG_INFINITY;
         for (obstacles, [side, down]) in self.bare_with(margin, nick) {
             let radius = self.end.radius() - TOUCHING_MM;
@@ -238,7 +264,7 @@ impl Exact {
         let Some([guard, bound]) = self.around(at, of) else { return f64::INFINITY };
         let height = self.drop.height(self.end.inset(nick.meshes), at);
         let resting = height.map_or(f64::NEG_INFINITY, |z| z - nick.meshes);
-        let past = self.past(at, (of.margin, nick.passing), f64::INFINITY);
+        let past = self.passed(at, (of.margin, nick.passing), f64::INFINITY);
         guard.max(resting.min(bound)).max(past)
     }
 
@@ -259,7 +285,7 @@ impl Exact {
         let Some([guard, bound]) = self.around(at, of) else { return z == f64::INFINITY };
         let (end, deep) = (self.end.inset(nick.meshes), nick.meshes);
         let rests = |on: &mut Option<u32>| self.drop.rests_over(end, at, z + deep, on);
-        let past = || self.past(at, (of.margin, nick.passing), z);
+        let past = || self.passed(at, (of.margin, nick.passing), z);
         guard <= z && (bound <= z || !rests(on)) && past() <= z
     }
 

@@ -36,6 +36,7 @@ use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::plan::{Job, Step};
 use crate::voxel::{BitGrid, Frame};
+use std::cell::OnceCell;
 use std::sync::OnceLock;
 
 /// Heights closer than this are the same, mm: far above the rounding of f32 heights, far below
@@ -233,6 +234,8 @@ struct Stage<'a> {
     exact: Lowest,
     /// Heights over the meshes, where the job has them.
     meshes: Option<Exact>,
+    /// The same where what goes later may be passed, and all that is not to go.
+    past: OnceCell<(Exact, Free)>,
     /// What is still to cut.
     stock: Stock,
     /// Lowest tip height cut so far, per cell; +∞ where nothing was.
@@ -295,6 +298,7 @@ impl<'a> Stage<'a> {
             fine,
             exact,
             meshes,
+            past: OnceCell::new(),
             done: vec![f32::INFINITY; lattice.cells()],
             work,
             process,

@@ -22,7 +22,6 @@ use super::{FAR_CELLS, Free, SAME_HEIGHT_MM, Stage, within};
 use crate::base::{Cancelled, Ctx, DVec3};
 use crate::machine::Tool;
 use rayon::prelude::*;
-use std::cell::OnceCell;
 use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Share of the region that must be swept: a little more than the program's check asks for.
@@ -99,17 +98,22 @@ impl Stage<'_> {
     /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any that go no
     /// deeper than a nick into the meshes.
     fn between_cells(&mut self, left: &mut Left, nick: Nick) -> Result<(), Cancelled> {
-        let Some(exact) = self.meshes.as_ref().filter(|_| !left.voxels.is_empty()) else {
+        let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
+        let Some(meshes) = self.meshes.as_ref().filter(|_| !left.voxels.is_empty()) else {
             return Ok(());
         };
-        let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
-        let (tool, stays) = (work.tool, OnceCell::new());
-        let free = match nick.passing > 0.0 {
-            // What passes is among the obstacles that the meshes are asked besides, nicked.
-            true => stays.get_or_init(|| {
-                Free::around(work, &work.after.and(&work.job.target), tool.active_radius())
-            }),
-            false => &self.free,
+        let tool = work.tool;
+        let (exact, free) = match nick.passing > 0.0 {
+            true => {
+                let (exact, free) = self.past.get_or_init(|| {
+                    // What passes is among the obstacles that the meshes are asked besides, nicked.
+                    let stays = work.after.and(&work.job.target);
+                    let free = Free::around(work, &stays, tool.active_radius());
+                    (meshes.past(work, &self.free), free)
+                });
+                (exact, free)
+            }
+            false => (meshes, &self.free),
         };
         let between = Between { exact, lowest, free, tool, cell, slack: left.slack, nick };
         let tips = between.tips(&left.voxels, work.ctx)?;
