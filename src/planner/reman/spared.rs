@@ -1,15 +1,15 @@
-//! Sparing: skin that no cutter has room for is left standing.
+//! Sparing: what need not go and no cutter has room for is left standing.
 //!
 //! Method. A slender cutter takes along what it reaches by the middles of voxels, skin too, which need not go. In
 //! corners its edge has no room for that on the target's mesh (see `room`): paths nick the walls beside it, or leave
-//! it. Of such skin what is left by slimmer cutters and along other directions is taken out of its cut, but for what
+//! it. Of this what is left by slimmer cutters and along other directions is taken out of its cut, but for what
 //! stands over the rest of the cut, or so near it that this is out of reach then. Every later
 //! cut whose tool comes near it is then made again while it stands, and every later deposit laid again. A cut of which
 //! nothing is left is none.
 //!
-//! Guarantees: those of cuts and deposits; nothing but skin is left standing beside what stood before, so a plan leaves
-//! as much and reuses as much. Where a later step does not get past the skin, what is near goes after all; where that is
-//! of no use, all stays as it was. Not guaranteed: that all skin without room is found.
+//! Guarantees: those of cuts and deposits; nothing but skin and target is left standing beside what stood before, so a
+//! plan leaves no more and reuses no less. Where a later step does not get past it, what is near goes after all; where
+//! that is of no use, all stays as it was. Not guaranteed: that all without room is found.
 
 use super::Run;
 use super::fitting::over;
@@ -32,24 +32,24 @@ const MOST_BEHIND: usize = 4;
 
 /// All is made again so often without what was in the way of a later step: what lies within so many radii of its tool,
 /// and so many voxels, of what it missed.
-const TRIES: usize = 5;
+const TRIES: usize = 9;
 const NEAR_RADII: f64 = 2.0;
 const NEAR_VOXELS: f64 = 2.0;
 
-/// The plan with skin that has no room left standing; the plan as it is where the rules refuse it, or nothing is
+/// The plan with what has no room left standing where it may; the plan as it is where the rules refuse it, or nothing is
 /// spared.
 pub fn spared(run: &mut Run, room: &Room, attempt: Attempt) -> Result<Attempt, PlanError> {
     let job = run.start.setting.job;
     if !attempt.is_valid(job) {
         return Ok(attempt);
     }
-    let skin = run.start.setting.skin(&attempt.volumes.reused);
-    let mut spare = skin.clone();
+    let may_stand = may_stand(run, &attempt.volumes.reused);
+    let mut spare = may_stand.clone();
     for _ in 0..TRIES {
         if run.ctx.out_of_time() {
             break;
         }
-        match sparing(run, room, &attempt.steps, (&skin, &spare))? {
+        match sparing(run, room, &attempt.steps, (&may_stand, &spare))? {
             Sparing::Nothing => break,
             Sparing::Blocked(by) => spare.subtract(&by),
             Sparing::Made(steps) => {
@@ -63,6 +63,11 @@ pub fn spared(run: &mut Run, room: &Room, attempt: Attempt) -> Result<Attempt, P
     }
     run.clock.lap("blocks");
     Ok(attempt)
+}
+
+/// What need not go: skin of what is reused, and what of the target a pit took away.
+fn may_stand(run: &Run, reused: &BitGrid) -> BitGrid {
+    run.start.setting.skin(reused).or(&run.start.setting.job.target)
 }
 
 /// Steps but for those of which nothing is left to make, and how many of the first so many these are.
@@ -80,18 +85,18 @@ fn without_empty(steps: Vec<Step>, first: usize) -> (Vec<Step>, usize) {
 /// What comes of steps while skin stands.
 enum Sparing {
     Made(Vec<Step>),
-    /// No skin that need not go has no room.
+    /// All that need not go has room.
     Nothing,
     /// A step does not get past this, or something else that stands.
     Blocked(BitGrid),
 }
 
-/// Steps with what of the `spare` skin has no room left standing.
+/// Steps with what of the `spare` has no room left standing, of what may stand.
 fn sparing(
     run: &Run,
     room: &Room,
     steps: &[Step],
-    (skin, spare): (&BitGrid, &BitGrid),
+    (may_stand, spare): (&BitGrid, &BitGrid),
 ) -> Result<Sparing, PlanError> {
     let setting = run.start.setting;
     let made_again = Cell::new(0);
@@ -118,7 +123,7 @@ fn sparing(
                 StepKind::Subtractive => {
                     let region = cuts.sparing(&state, step, spare, &standing);
                     let lost = step.region.minus(&region);
-                    let missed = lost.minus(skin);
+                    let missed = lost.minus(may_stand);
                     if !missed.is_empty() {
                         return Ok(blocked(run, &standing, &missed, step));
                     }
@@ -264,8 +269,12 @@ mod tests {
         job
     }
 
-    /// The cuts from above of what lies over each of some heights, one after the other, and what comes of them.
+    /// The cuts from above of what is to go over each of some heights, one after the other, and what comes of them.
     fn made(job: &Job, heights: &[f64]) -> (Vec<Step>, Sparing) {
+        made_of(job, &job.initial.minus(&job.target), heights)
+    }
+
+    fn made_of(job: &Job, goes: &BitGrid, heights: &[f64]) -> (Vec<Step>, Sparing) {
         with_run(job, |run| {
             let room = Room::of(job);
             let fixed = run.start.setting.fixed(0, &job.initial);
@@ -276,7 +285,7 @@ mod tests {
             let (mut state, mut steps) = (job.initial.clone(), Vec::new());
             for height in heights {
                 let over = BitGrid::from_fn(job.frame.dims, |v| job.frame.center(v).z > *height);
-                let part = state.minus(&job.target).and(&over);
+                let part = state.and(goes).and(&over);
                 let mut step = Step {
                     kind: StepKind::Subtractive,
                     tool: "ball-1.4x24".into(),
@@ -292,8 +301,8 @@ mod tests {
                     steps.push(step);
                 }
             }
-            let skin = run.start.setting.skin(&job.target);
-            let sparing = sparing(run, &room, &steps, (&skin, &skin)).unwrap();
+            let may = may_stand(run, &job.target);
+            let sparing = sparing(run, &room, &steps, (&may, &may)).unwrap();
             (steps, sparing)
         })
     }
@@ -317,6 +326,22 @@ mod tests {
         assert!(in_slot(&steps) > 100, "{}", in_slot(&steps));
         assert!(4 * in_slot(&after) < in_slot(&steps), "{}", in_slot(&after));
         assert_verifies(&job, after);
+    }
+
+    /// A pit that goes down along a slot's walls took of the target what its cutter has no room for.
+    #[test]
+    fn target_in_a_pit_without_room_stands() {
+        let mut job = job(None);
+        job.rules.tolerance_mm = 0.25;
+        let goes = job.initial.minus(&job.target);
+        let low = BitGrid::from_fn(job.frame.dims, |v| job.frame.center(v).z < 7.0);
+        let pit = goes.and(&low);
+        job.target.union_with(&pit);
+        let (steps, made) = made_of(&job, &goes, &[5.0, 0.0]);
+        let Sparing::Made(after) = made else { panic!("nothing was spared") };
+        let in_pit = |s: &[Step]| s.iter().map(|s| s.region.and(&pit).count()).sum::<usize>();
+        assert!(in_pit(&steps) > 100, "{}", in_pit(&steps));
+        assert!(4 * in_pit(&after) < in_pit(&steps), "{}", in_pit(&after));
     }
 
     /// What lies under it has to go, and only through it.
