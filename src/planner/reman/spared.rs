@@ -31,7 +31,7 @@ const LEAST_VOXELS: usize = 8;
 const MOST_BEHIND: usize = 4;
 
 /// All is made again so often without what was in the way of a later step: what lies within so many radii of its tool,
-/// and so many voxels, of what it missed.
+/// and so many voxels, of what it missed. On a bracket with pits five steps were in the way before one was not.
 const TRIES: usize = 9;
 const NEAR_RADII: f64 = 2.0;
 const NEAR_VOXELS: f64 = 2.0;
@@ -82,7 +82,7 @@ fn without_empty(steps: Vec<Step>, first: usize) -> (Vec<Step>, usize) {
     (steps, first)
 }
 
-/// What comes of steps while skin stands.
+/// What comes of steps while what need not go stands.
 enum Sparing {
     Made(Vec<Step>),
     /// All that need not go has room.
@@ -174,7 +174,7 @@ fn laid(
 }
 
 impl Turn<'_, '_> {
-    /// What a cut takes with the `spare` that has no room left standing, while other skin stands.
+    /// What a cut takes with the `spare` that has no room left standing, while what others spared stands.
     fn sparing(
         &self,
         state: &BitGrid,
