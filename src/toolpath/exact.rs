@@ -4,7 +4,8 @@
 //! outside M* on M from M's; triangles that only partly stand are divided until their pieces do or
 //! do not. The end of the cutter rests on those by drop-cutter. Faces that cuts leave inside M
 //! have no triangles: there the voxels are the obstacle, with their margin; so are they, without one,
-//! where material stands that later steps cut, supports among it. The tips of cells keep off the middles of the cells
+//! where material stands that later steps cut, supports among it, and where a slender end goes down beside a surface
+//! into what such a face was cut over. The tips of cells keep off the middles of the cells
 //! that these obstacles lie in, tips between them off the obstacles where they are. Where the target would be nicked else,
 //! tips may pass M's surface outside M*, which goes later, as far as its voxels' middles and a nick let them.
 //! Shank and holder are held against the voxels alone.
@@ -17,9 +18,8 @@ use super::drop::{DropCutter, End};
 use super::image::{Cell, Image, Lattice, Profile};
 use super::mill::{Free, Work};
 use super::near::NEAR_PITCH;
-use super::standing::{Rim, standing};
 use crate::base::{Cancelled, DVec2, DVec3};
-use crate::voxel::BitGrid;
+use crate::voxel::{BitGrid, Rim, standing};
 use rayon::prelude::*;
 pub(super) struct Exact {
     end: End,
@@ -33,6 +33,9 @@ pub(super) struct Exact {
     faces: Bare,
     /// The same of material outside the target, which goes later: there is no surface to keep.
     passing: Bare,
+    /// Of what a slender end may be in without touching the surface beside it: the target's where what was over it is
+    /// gone.
+    uncovered: Bare,
     /// Half a pitch, mm.
     half: f64,
 }
@@ -138,32 +141,55 @@ impl Exact {
         let margin = DVec2::splat(end.radius() + h.max(2.0 * lattice.s));
         let is_near = |low: DVec2, high: DVec2| free.wanted.any_within(low - margin, high + margin);
         let mut triangles = Vec::new();
+        let plane = lattice.plane;
+        let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
+        let is_piece_near = |t: &[DVec3; 3]| {
+            let [a, b, c] = t.map(|p| plane.across(p));
+            is_near(a.min(b).min(c), a.max(b).max(c))
+        };
         let wholes = [target, &outside];
         for (((mesh, solid), whole), rim) in meshes.iter().zip(&stands).zip(wholes).zip(rims) {
             if let Some(rim) = rim {
-                triangles.extend(standing(mesh, [solid, whole], work, &is_near, rim));
+                let pieces = standing(mesh, [solid, whole], work.frame, &is_piece_near, rim);
+                triangles.extend(pieces.into_iter().map(|t| t.map(turned)));
             }
         }
+        let over = over(work.step.direction.vec());
+        let is_slender = work.tool.tip_radius() < NEAR_PITCH * h;
+        let is_uncovered = |v: [usize; 3], side: usize| {
+            let is_gone = |at| wholes[side].get_or_empty(at) && !stands[side].get_or_empty(at);
+            is_slender && over.iter().any(|by| is_gone([0, 1, 2].map(|a| v[a] as i64 + by[a])))
+        };
+        // Which voxels are obstacles themselves, and whether a surface is beside them.
         let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
-        let plane = lattice.plane;
-        let bare: Vec<([usize; 3], DVec3)> = shell
+        let bare: Vec<([usize; 3], DVec3, bool)> = shell
             .par_iter()
-            .map(|v| (*v, work.frame.center(*v)))
-            .filter(|(_, p)| is_near(plane.across(*p), plane.across(*p)))
-            .filter(|(v, _)| {
+            .filter_map(|v| {
+                let p = work.frame.center(*v);
+                if !is_near(plane.across(p), plane.across(p)) {
+                    return None;
+                }
                 let side = wholes.iter().position(|whole| whole.get(*v));
-                side.is_none_or(|side| !told[side].get(*v))
+                let told = side.filter(|side| told[*side].get(*v));
+                let is_bare = told.is_none_or(|side| is_uncovered(*v, side));
+                is_bare.then_some((*v, p, told.is_some()))
             })
             .collect();
         let (mut faces, mut passing) = (work.fixed.to_vec(), Vec::new());
-        for (v, p) in &bare {
-            let points = if target.get(*v) { &mut faces } else { &mut passing };
+        let mut uncovered = Vec::new();
+        for (v, p, is_told) in &bare {
+            let points = match target.get(*v) {
+                true if *is_told => &mut uncovered,
+                true => &mut faces,
+                false => &mut passing,
+            };
             points.push(*p);
         }
         let drop = DropCutter::new(triangles, end.radius());
-        let [faces, passing] = [faces, passing].map(|points| Bare::of(free.empty(), &points));
+        let bare = [faces, passing, uncovered];
+        let [faces, passing, uncovered] = bare.map(|points| Bare::of(free.empty(), &points));
         let resting = Image::empty(lattice);
-        Exact { end, drop, resting, bound, faces, passing, half: h / 2.0 }
+        Exact { end, drop, resting, bound, faces, passing, uncovered, half: h / 2.0 }
     }
 
     pub fn end(&self) -> End {
@@ -206,10 +232,11 @@ impl Exact {
     }
 
     /// Obstacles that no mesh stands for, and what an end grown by `margin` keeps off them: of what
-    /// passes only the centres have to stay, which are half a pitch inside, but for a nick.
-    fn bare_with(&self, margin: [f64; 2], nick: f64) -> [(&Bare, [f64; 2]); 2] {
-        let passing = margin.map(|m| (m - self.half).max(0.0) - nick);
-        [(&self.faces, margin), (&self.passing, passing)]
+    /// passes only the centres have to stay, which are half a pitch inside, but for a nick; of what is uncovered too, since
+    /// beside it the surface tells.
+    fn bare_with(&self, margin: [f64; 2], nick: Nick) -> [(&Bare, [f64; 2]); 3] {
+        let passing = margin.map(|m| (m - self.half).max(0.0) - nick.passing);
+        [(&self.faces, margin), (&self.passing, passing), (&self.uncovered, [-nick.meshes; 2])]
     }
 
     /// Raises tips to where the grown end is free of obstacles that no mesh stands for.
@@ -221,7 +248,7 @@ impl Exact {
         tips: &mut Image,
     ) -> Result<(), Cancelled> {
         let (edge, s) = (work.tool.active_radius(), free.window.s);
-        for (obstacles, [side, down]) in self.bare_with(margin, 0.0) {
+        for (obstacles, [side, down]) in self.bare_with(margin, Nick::NONE) {
             let end = Profile::new(|rho| work.tool.active_lower_surface(rho), edge, s, side, down);
             let bare = end.dilate_over(&obstacles.image, &free.wanted, free.highest(), work.ctx)?;
             tips.data.iter_mut().zip(&bare.data).for_each(|(z, b)| *z = z.max(*b));
@@ -231,7 +258,7 @@ impl Exact {
 
     /// Lowest tip anywhere at which the grown end is free of obstacles that no mesh stands for, but for a nick into
     /// what passes; of those above `enough` any.
-    fn passed(&self, at: DVec2, (margin, nick): ([f64; 2], f64), enough: f64) -> f64 {
+    fn passed(&self, at: DVec2, (margin, nick): ([f64; 2], Nick), enough: f64) -> f64 {
         let mut lowest = f64::NEG_INFINITY;
         for (obstacles, [side, down]) in self.bare_with(margin, nick) {
             let radius = self.end.radius() - TOUCHING_MM;
@@ -264,7 +291,7 @@ impl Exact {
         let Some([guard, bound]) = self.around(at, of) else { return f64::INFINITY };
         let height = self.drop.height(self.end.inset(nick.meshes), at);
         let resting = height.map_or(f64::NEG_INFINITY, |z| z - nick.meshes);
-        let past = self.passed(at, (of.margin, nick.passing), f64::INFINITY);
+        let past = self.passed(at, (of.margin, nick), f64::INFINITY);
         guard.max(resting.min(bound)).max(past)
     }
 
@@ -285,7 +312,7 @@ impl Exact {
         let Some([guard, bound]) = self.around(at, of) else { return z == f64::INFINITY };
         let (end, deep) = (self.end.inset(nick.meshes), nick.meshes);
         let rests = |on: &mut Option<u32>| self.drop.rests_over(end, at, z + deep, on);
-        let past = || self.passed(at, (of.margin, nick.passing), z);
+        let past = || self.passed(at, (of.margin, nick), z);
         guard <= z && (bound <= z || !rests(on)) && past() <= z
     }
 
@@ -369,6 +396,16 @@ impl Exact {
     }
 }
 
+/// Ways to the neighbours of a voxel that lie over it, seen along a direction.
+fn over(direction: DVec3) -> Vec<[i64; 3]> {
+    let all = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
+    let is_over = |by: &[i64; 3]| DVec3::from_array(by.map(|a| a as f64)).dot(direction) > OVER;
+    all.filter(is_over).collect()
+}
+
+/// Least height of a neighbour that lies over a voxel, in pitches.
+const OVER: f64 = 1e-6;
+
 /// How much nearer than a cell's centre two positions are one, in cells.
 const ON_CELL: f64 = 1e-6;
 
@@ -428,9 +465,11 @@ pub(super) fn steepness(lattice: &Lattice, bottom: &[f32]) -> Vec<f32> {
 mod tests {
     use super::super::Replay;
     use super::super::near::voxels_near;
-    use super::super::tests::{first_step, pocket};
+    use super::super::tests::{first_step, pocket, world};
     use super::*;
     use crate::base::Ctx;
+    use crate::mesh::TriMesh;
+    use crate::plan::StepKind;
     use crate::voxel::surface;
     use rand::RngExt;
 
@@ -448,6 +487,44 @@ mod tests {
             let work = first_step(&w, &replay, &surfaces, tool, &ctx);
             check(&work);
         }
+    }
+
+    /// A thin wall whose top is gone, with all its voxels near its surfaces, but their middles farther from them than a
+    /// slender end is wide: such an end went down into it, between surfaces that it did not touch.
+    #[test]
+    fn a_slender_end_does_not_go_down_into_a_wall_without_its_top() {
+        const WALL_MM: [f64; 2] = [9.1, 10.15];
+        let in_wall = |x: f64| x > WALL_MM[0] && x < WALL_MM[1];
+        let block = |p: DVec3| p.x > 2.0 && p.x < 14.0 && (p.y - 5.0).abs() < 3.0 && p.z < 12.0;
+        let cut = |p: DVec3| (p.x > 5.0 && p.z > 8.0) || (p.x > WALL_MM[1] && p.z > 4.0);
+        let size = DVec3::new(16.0, 10.0, 13.0);
+        let mut w =
+            world("generic-5axis", 0.5, size, block, &[(StepKind::Subtractive, DVec3::Z, cut)]);
+        let frame = w.job.frame;
+        w.job.target = BitGrid::from_fn(frame.dims, |v| {
+            let p = frame.center(v);
+            block(p) && (in_wall(p.x) || p.z < 4.0)
+        });
+        let boxed = |x: [f64; 2], z: f64| {
+            TriMesh::cuboid(DVec3::new(x[0], 2.0, 0.0), DVec3::new(x[1], 8.0, z))
+        };
+        w.job.initial_mesh = boxed([2.0, 14.0], 12.0);
+        w.job.target_mesh = TriMesh::joined(&[boxed([2.0, 14.0], 4.0), boxed(WALL_MM, 12.0)]);
+        let replay = Replay::of(&w.job, &w.plan).unwrap();
+        let surfaces = [&w.job.target_mesh, &w.job.initial_mesh].map(|m| voxels_near(m, &frame));
+        let tool = w.job.cutters.iter().find(|t| t.name == "taper-0.6x30").unwrap();
+        let ctx = Ctx::quiet();
+        let work = first_step(&w, &replay, &surfaces, tool, &ctx);
+        let free = Free::around(&work, work.after, tool.active_radius());
+        let exact = Exact::of(&work, &free).unwrap().unwrap();
+        let lowest = exact.heights(&work, &free, 0.25, 0.25, 0.0).unwrap();
+        for x in [9.5, 9.6, 9.7, 9.75, 9.8] {
+            let z = exact.lowest(DVec2::new(x, 5.25), &lowest);
+            assert!(z > 7.6, "{x}: {z}");
+        }
+        // Beside the wall it goes down to the floor.
+        let z = exact.lowest(DVec2::new(WALL_MM[1] + 0.9, 5.25), &lowest);
+        assert!((z - 4.0).abs() < 0.01, "{z}");
     }
 
     #[test]

@@ -34,7 +34,6 @@ mod ramp;
 mod rowmax;
 mod slice;
 mod specks;
-mod standing;
 mod swept;
 mod timing;
 mod touch;

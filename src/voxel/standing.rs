@@ -1,4 +1,4 @@
-//! Which pieces of the meshes still stand.
+//! Which pieces of a mesh still stand, where voxels tell what of its solid does.
 //!
 //! Method: a triangle is divided until all of a piece stands or nothing of it does, by the nearest voxel on either side
 //! of it; large pieces near no voxel that stands are not divided at all. Along the rim of what stands either half a
@@ -8,10 +8,9 @@
 //! that stands is found but for islands under a quarter of a voxel wide. Not guaranteed: how far beyond the rim, within a
 //! voxel; without it, within a voxel of the rim either way.
 
-use super::mill::Work;
-use crate::base::{DVec2, DVec3};
+use super::{BitGrid, Frame};
+use crate::base::DVec3;
 use crate::mesh::TriMesh;
-use crate::voxel::{BitGrid, Frame};
 use rayon::prelude::*;
 
 /// Pieces with shorter sides, in pitches, are judged by their corners and middle.
@@ -46,33 +45,28 @@ fn lost(p: DVec3, frame: &Frame, solid: &BitGrid, whole: &BitGrid) -> bool {
 
 /// What counts as standing along the rim of what stands.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Rim {
+pub enum Rim {
     /// All pieces of which any part stands: what is to be kept.
     Kept,
     /// Pieces of which the middle stands: what goes later, beside which something else is to be cut.
     Parted,
 }
 
-/// Pieces of a mesh on whose inner side `solid`, what stands of the `whole`, has material, as (u, v,
-/// height), whose box of (u, v) `is_near`.
-pub(super) fn standing(
+/// Pieces of a mesh on whose inner side `solid`, what stands of the `whole`, has material, of those that are near: no
+/// piece of one that is not may be. World coordinates, mm.
+pub fn standing(
     mesh: &TriMesh,
     [solid, whole]: [&BitGrid; 2],
-    work: &Work,
-    is_near: &(dyn Fn(DVec2, DVec2) -> bool + Sync),
+    frame: &Frame,
+    is_near: &(dyn Fn(&[DVec3; 3]) -> bool + Sync),
     rim: Rim,
 ) -> Vec<[DVec3; 3]> {
-    let plane = work.step.direction.image_plane();
-    let h = work.frame.pitch;
-    let solids = Blocks::of(solid, work.frame);
+    let h = frame.pitch;
+    let solids = Blocks::of(solid, frame);
     let pieces: Vec<Vec<[DVec3; 3]>> = (0..mesh.triangles().len())
         .into_par_iter()
         .map(|t| {
             let corners = mesh.corners(t);
-            let is_near = |t: &[DVec3; 3]| {
-                let [a, b, c] = t.map(|p| plane.across(p));
-                is_near(a.min(b).min(c), a.max(b).max(c))
-            };
             if !is_near(&corners) {
                 return Vec::new();
             }
@@ -80,14 +74,14 @@ pub(super) fn standing(
             let aside = normal * (ASIDE_PITCH * h / f64::from(LOOKS));
             // Either side: single triangles may face the wrong way.
             let stands = |p: DVec3| {
-                let at = |by: f64| work.frame.voxel_at(p + aside * by);
+                let at = |by: f64| frame.voxel_at(p + aside * by);
                 for k in (1..=LOOKS).map(f64::from) {
                     let near = [at(-k), at(k)].into_iter().flatten().filter(|v| whole.get(*v));
                     if let Some(stands) = near.map(|v| solid.get(v)).reduce(|a, b| a || b) {
                         return stands;
                     }
                 }
-                lost(p, work.frame, solid, whole)
+                lost(p, frame, solid, whole)
             };
             let may_stand = |t: &[DVec3; 3]| {
                 let [a, b, c] = *t;
@@ -107,8 +101,7 @@ pub(super) fn standing(
             out
         })
         .collect();
-    let turned = |p: DVec3| plane.across(p).extend(plane.height(p));
-    pieces.into_iter().flatten().map(|t| t.map(turned)).collect()
+    pieces.into_iter().flatten().collect()
 }
 
 /// How the pieces of a triangle are judged.
@@ -200,14 +193,10 @@ impl<'a> Blocks<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Replay;
-    use super::super::near::voxels_near;
-    use super::super::tests::{first_step, world};
-    use super::super::touch::facets;
+    use super::super::voxelise;
     use super::*;
     use crate::base::{Ctx, DAffine3};
     use crate::mesh::closest_on_triangle;
-    use crate::plan::StepKind;
     use rand::RngExt;
 
     /// A box that leans, in its own coordinates.
@@ -224,38 +213,38 @@ mod tests {
         p.distance(leaning().transform_point3(DVec3::Z * BOX[1].z))
     }
 
-    fn in_box(p: DVec3) -> bool {
-        let q = leaning().inverse().transform_point3(p);
-        q.cmpgt(BOX[0]).all() && q.cmplt(BOX[1]).all()
+    /// Parts of a triangle whose sides are no longer than so much.
+    fn facets([a, b, c]: [DVec3; 3], side: f64) -> Vec<[DVec3; 3]> {
+        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+        if longest <= side {
+            return vec![[a, b, c]];
+        }
+        let (d, e, f) = ((a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0);
+        let parts = [[a, d, f], [d, b, e], [f, e, c], [d, e, f]];
+        parts.into_iter().flat_map(|p| facets(p, side)).collect()
     }
 
     /// Along the rim of a pit in a slanted face what stands between what was cut used to be lost, a voxel wide and more,
     /// and paths cut into it.
     #[test]
     fn all_that_stands_along_the_rim_of_a_pit_is_kept() {
-        let pit = |p: DVec3| in_box(p) && off_the_pit(p) < PIT_MM;
-        let (cut, laid) = (StepKind::Subtractive, StepKind::Additive);
-        let steps = [(cut, DVec3::Z, pit as fn(DVec3) -> bool), (laid, DVec3::Z, pit)];
-        let w = world("generic-5axis", 0.5, DVec3::splat(24.0), in_box, &steps);
+        let frame = Frame { pitch: 0.5, dims: [48; 3], origin: DVec3::ZERO };
         let mesh = TriMesh::cuboid(BOX[0], BOX[1]).transformed(&leaning()).unwrap();
-        let replay = Replay::of(&w.job, &w.plan).unwrap();
-        let surfaces = [&mesh, &mesh].map(|m| voxels_near(m, &w.job.frame));
-        let (ctx, frame, target) = (Ctx::quiet(), &w.job.frame, &w.job.target);
-        let work = first_step(&w, &replay, &surfaces, &w.job.cutters[0], &ctx);
-        let found = |rim: Rim| standing(&mesh, [work.after, target], &work, &|_, _| true, rim);
+        let target = voxelise(&mesh, &frame, &Ctx::quiet()).unwrap();
+        let pit = BitGrid::from_fn(frame.dims, |v| off_the_pit(frame.center(v)) < PIT_MM);
+        let after = target.minus(&pit);
+        let found = |rim: Rim| standing(&mesh, [&after, &target], &frame, &|_| true, rim);
         let kept = found(Rim::Kept);
-        let plane = work.step.direction.image_plane();
         let lost = |normal: DVec3, p: DVec3| -> Option<f64> {
             let behind = |k: u32| frame.voxel_at(p - normal * (0.05 * f64::from(k)));
             let inner = (1..=9).filter_map(behind).find(|v| target.get(*v))?;
-            let q = plane.across(p).extend(plane.height(p));
-            let off = |t: &[DVec3; 3]| closest_on_triangle(q, *t).distance(q);
-            work.after.get(inner).then(|| kept.iter().map(off).fold(f64::INFINITY, f64::min))
+            let off = |t: &[DVec3; 3]| closest_on_triangle(p, *t).distance(p);
+            after.get(inner).then(|| kept.iter().map(off).fold(f64::INFINITY, f64::min))
         };
         let mut looked_at = 0;
         for t in 0..mesh.triangles().len() {
             let normal = mesh.area_normal(t).normalize();
-            for c in facets(mesh.corners(t), 0.25, |_| true) {
+            for c in facets(mesh.corners(t), 0.25) {
                 let p = (c[0] + c[1] + c[2]) / 3.0;
                 if (off_the_pit(p) - PIT_MM).abs() < 1.5 {
                     let off = lost(normal, p);
@@ -270,16 +259,15 @@ mod tests {
             all.iter().map(|t| (t[1] - t[0]).cross(t[2] - t[0]).length() / 2.0).sum()
         };
         let parted = found(Rim::Parted);
-        let plane_world = |q: DVec3| plane.world(q.truncate(), q.z);
         // What goes later reaches hardly beyond what stands, and covers nearly all of it.
         let beyond = |t: &[DVec3; 3]| -> f64 {
             let stands = |p: DVec3| {
                 let normal = (t[1] - t[0]).cross(t[2] - t[0]).normalize();
-                let at = |k: i32| plane_world(p - normal * (0.05 * f64::from(k)));
+                let at = |k: i32| p - normal * (0.05 * f64::from(k));
                 let near = (1..=9).flat_map(|k| [at(k), at(-k)]).filter_map(|p| frame.voxel_at(p));
-                near.filter(|v| target.get(*v)).map(|v| work.after.get(v)).next()
+                near.filter(|v| target.get(*v)).map(|v| after.get(v)).next()
             };
-            let pieces = facets(*t, 0.1, |_| true);
+            let pieces = facets(*t, 0.1);
             let gone = pieces.iter().filter(|c| stands((c[0] + c[1] + c[2]) / 3.0) == Some(false));
             gone.map(|c| (c[1] - c[0]).cross(c[2] - c[0]).length() / 2.0).sum()
         };
