@@ -45,17 +45,24 @@ const AIM: f64 = 1e-3;
 impl NearestTriangle {
     /// `reach` (mm) is the largest distance at which a triangle is looked for.
     pub fn new(mesh: &TriMesh, reach: f64) -> Self {
-        let bounds = mesh.bounds();
+        Self::among((0..mesh.triangles().len()).map(|t| mesh.corners(t)), reach)
+    }
+
+    /// Among triangles by their corners, numbered as they come.
+    pub fn among(triangles: impl IntoIterator<Item = [DVec3; 3]>, reach: f64) -> Self {
+        let face = |corners: [DVec3; 3]| {
+            let [a, b, c] = corners;
+            let normal = (b - a).cross(c - a).try_normalize();
+            Face { corners, within: Aabb::of(corners), normal }
+        };
+        let faces: Vec<Face> = triangles.into_iter().map(face).collect();
+        let bounds = Aabb::of(faces.iter().flat_map(|f| f.corners));
         let bounds = if bounds.is_empty() { Aabb::of([DVec3::ZERO]) } else { bounds };
         let cell = reach.max(bounds.size().max_element() / MOST_CELLS).max(1e-9);
         let dims = (bounds.size() / cell).floor().to_array().map(|n| n as usize + 1);
-        let face = |t: usize| {
-            let corners = mesh.corners(t);
-            let normal = mesh.area_normal(t).try_normalize();
-            Face { corners, within: Aabb::of(corners), normal }
-        };
+        let count = faces.len();
         let mut index = NearestTriangle {
-            faces: (0..mesh.triangles().len()).map(face).collect(),
+            faces,
             cell,
             origin: bounds.min,
             dims,
@@ -66,7 +73,7 @@ impl NearestTriangle {
             let b = index.faces[t].within;
             (index.cell_of(b.min), index.cell_of(b.max))
         };
-        for t in 0..mesh.triangles().len() {
+        for t in 0..count {
             let (lo, hi) = cells_of(&index, t);
             index.each_cell(lo, hi).for_each(|c| index.starts[c + 1] += 1);
         }
@@ -75,7 +82,7 @@ impl NearestTriangle {
         }
         index.triangles = vec![0; index.starts[index.starts.len() - 1] as usize];
         let mut next = index.starts.clone();
-        for t in 0..mesh.triangles().len() {
+        for t in 0..count {
             let (lo, hi) = cells_of(&index, t);
             for c in index.each_cell(lo, hi) {
                 index.triangles[next[c] as usize] = t as u32;

@@ -73,13 +73,13 @@ fn by_room(
     if tight.count() < least {
         return Ok(None);
     }
+    let after = state.minus(&step.region);
+    let way = (own, step.direction);
     // How wide a tapered edge is where it passes the surface is not told by its end.
     let crowded = match own.is_tapered() {
         true if step.region.count() <= SMALL * tight.count() => step.region.clone(),
-        true => {
-            tight.or(&step.region.minus(&room.of_those(None, &step.region, (own, step.direction))))
-        }
-        false => tight.minus(&room.of_those(None, &tight, (own, step.direction))),
+        true => tight.or(&step.region.minus(&room.after(&after, None, &step.region, way))),
+        false => tight.minus(&room.after(&after, None, &tight, way)),
     };
     if crowded.count() < least {
         return Ok(None);
@@ -89,7 +89,7 @@ fn by_room(
     let mut best: Option<(&Tool, BitGrid)> = None;
     for tool in slimmer {
         let cut = over_cut(&job.frame, &before, &crowded, fixed, tool, step.direction).region;
-        let its = room.of_those(None, &cut, (tool, step.direction));
+        let its = room.after(&after, None, &cut, (tool, step.direction));
         let is_enough = its.count() as f64 >= NEARLY * crowded.count() as f64;
         let most = best.as_ref().map_or(0, |(_, b)| b.count());
         if is_enough || its.count() as f64 * NEARLY > most as f64 {

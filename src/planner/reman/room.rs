@@ -4,7 +4,9 @@
 //! a voxel narrower than it, and whatever it cuts there it gouges one side or the other. So a place is looked for on
 //! the target's mesh: from the voxel's middle the ball's middle goes away from the surface that is deepest in the ball
 //! or in the edge over it, again and again, until nothing is deeper in either than a gouge, and never farther off
-//! than the ball and half a voxel reach. Fixed points are kept off likewise where they are given.
+//! than the ball and half a voxel reach. Fixed points are kept off likewise where they are given. Where all of the
+//! surface leaves no room, what of it stands after the cut is asked alone: a hole through what is printed later has no
+//! walls yet.
 //!
 //! Guarantees: where there is room, all the balls that stand for the edge have it, at most [`APART`] of their radius
 //! from each other, between which a ridge is at most a hundredth of a radius deeper in it. Not guaranteed: that a place is
@@ -13,9 +15,9 @@
 
 use crate::base::{Aabb, DVec3, Direction};
 use crate::machine::Tool;
-use crate::mesh::NearestTriangle;
+use crate::mesh::{NearestTriangle, TriMesh};
 use crate::plan::Job;
-use crate::voxel::{BitGrid, Frame};
+use crate::voxel::{BitGrid, Frame, Rim, standing};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -47,9 +49,14 @@ const MOST_KNOWN: usize = 1_000_000;
 /// wider does not reach is to be asked about here.
 pub const WIDER_VOXELS: f64 = 1.0;
 
+/// Fewer voxels without room beside the whole target are not asked about again beside what of it stands.
+const LEAST_ASKED: usize = 8;
+
 /// Where cutters have room in a job.
 pub struct Room<'a> {
     frame: &'a Frame,
+    target: &'a BitGrid,
+    mesh: &'a TriMesh,
     surface: NearestTriangle,
     known: Mutex<Known>,
 }
@@ -67,8 +74,58 @@ struct Known {
 impl<'a> Room<'a> {
     pub fn of(job: &'a Job) -> Room<'a> {
         let widest = job.cutters.iter().map(Tool::active_radius).fold(0.0, f64::max);
-        let surface = NearestTriangle::new(&job.target_mesh, widest);
-        Room { frame: &job.frame, surface, known: Mutex::default() }
+        Room::among((&job.frame, &job.target, &job.target_mesh), widest)
+    }
+
+    /// Beside all of a target's surface, for cutters up to so wide.
+    fn among((frame, target, mesh): (&'a Frame, &'a BitGrid, &'a TriMesh), widest: f64) -> Self {
+        let surface = NearestTriangle::new(mesh, widest);
+        Room { frame, target, mesh, surface, known: Mutex::default() }
+    }
+
+    /// Those of some voxels around which a cutter with a ball end has room along a direction, beside what of the target's
+    /// surface stands after them and any fixed points given; these are not looked at for voxels farther from
+    /// them than the ball is wide. All for another cutter, of which this is not known.
+    pub fn after(
+        &self,
+        stands: &BitGrid,
+        fixed: Option<&Points>,
+        some: &BitGrid,
+        way: (&Tool, Direction),
+    ) -> BitGrid {
+        let roomy = self.of_those(fixed, some, way);
+        let none = some.minus(&roomy);
+        // What is printed later is in no cutter's way.
+        if none.count() < LEAST_ASKED || self.target.is_subset_of(stands) {
+            return roomy;
+        }
+        let standing =
+            Room { surface: self.standing(stands, &none, way), known: Mutex::default(), ..*self };
+        roomy.or(&standing.of_those(fixed, &none, way))
+    }
+
+    /// What stands of the target's surface where a cutter may be that is at some voxels.
+    fn standing(
+        &self,
+        stands: &BitGrid,
+        some: &BitGrid,
+        (tool, direction): (&Tool, Direction),
+    ) -> NearestTriangle {
+        // The ball may be to any side of a voxel that it is at.
+        let aside = 2.0 * (tool.active_radius() + self.frame.pitch);
+        let near = some.extent().map_or(Aabb::EMPTY, |(low, high)| {
+            let ends = [low, high].map(|v| self.frame.center(v));
+            let tops = ends.map(|p| p + direction.vec() * tool.active_length());
+            let all = Aabb::of(ends.into_iter().chain(tops));
+            Aabb { min: all.min - aside, max: all.max + aside }
+        });
+        let is_near = |t: &[DVec3; 3]| {
+            let its = Aabb::of(*t);
+            its.min.cmple(near.max).all() && its.max.cmpge(near.min).all()
+        };
+        let solids = [&stands.and(self.target), self.target];
+        let pieces = standing(self.mesh, solids, self.frame, &is_near, Rim::Parted);
+        NearestTriangle::among(pieces, tool.active_radius())
     }
 
     /// Whether it is known where a cutter has room: one with a ball end, tapered or not.
@@ -76,10 +133,8 @@ impl<'a> Room<'a> {
         tool.has_ball_end() || tool.is_tapered()
     }
 
-    /// Those of some voxels around which a cutter with a ball end has room along a direction, beside the target's surface
-    /// and any fixed points given; these are not looked at for voxels farther from them than the ball is wide. All for
-    /// another cutter, of which this is not known.
-    pub fn of_those(
+    /// The same beside all of the surface.
+    fn of_those(
         &self,
         fixed: Option<&Points>,
         some: &BitGrid,
@@ -289,8 +344,9 @@ impl Edge {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::Ctx;
     use crate::machine::Machine;
-    use crate::mesh::TriMesh;
+    use crate::voxel::voxelise;
     use rand::RngExt;
 
     fn alone(surface: &NearestTriangle) -> Walls<'_> {
@@ -358,8 +414,8 @@ mod tests {
         let machine = Machine::builtin("generic-5axis").unwrap();
         let ledge = TriMesh::cuboid(DVec3::new(0.0, 0.0, 1.2), DVec3::new(9.0, 9.0, 4.0));
         let frame = Frame { pitch: 0.2, dims: [50, 50, 30], origin: DVec3::splat(-0.2) };
-        let surface = NearestTriangle::new(&ledge, 1.5);
-        let room = Room { frame: &frame, surface, known: Mutex::default() };
+        let none = BitGrid::new(frame.dims);
+        let room = Room::among((&frame, &none, &ledge), 1.5);
         let table = |z: f64| {
             let points = (0..100 * 60)
                 .map(|k| DVec3::new(f64::from(k % 100), f64::from(k / 100), 0.0) * 0.1)
@@ -383,6 +439,32 @@ mod tests {
                 low.points.iter().map(|p| p.distance(place)).fold(f64::INFINITY, f64::min);
             let found = low.nearer(place, most).map(|p| p.distance(place));
             assert_eq!(found, Some(nearest).filter(|d| *d < most), "{place} {most}");
+        }
+    }
+
+    /// A gap too narrow for a cutter has room for it while one of its sides is still to be printed.
+    #[test]
+    fn what_does_not_stand_yet_takes_no_room() {
+        let machine = Machine::builtin("generic-5axis").unwrap();
+        let mesh = gap(1.2);
+        let frame = Frame { pitch: 0.2, dims: [50, 50, 40], origin: DVec3::splat(-0.2) };
+        let target = voxelise(&mesh, &frame, &Ctx::quiet()).unwrap();
+        let room = Room::among((&frame, &target, &mesh), 1.5);
+        let low = BitGrid::from_fn(frame.dims, |v| frame.center(v).z < 3.6);
+        let in_gap = |v: [usize; 3]| {
+            let p = frame.center(v);
+            (p.x - 4.5).abs() < 0.5 && (p.y - 4.5).abs() < 0.5 && p.z > 3.0 && p.z < 4.2
+        };
+        let some = BitGrid::from_fn(frame.dims, in_gap);
+        assert!(some.count() > 2 * LEAST_ASKED);
+        let along = Direction::new(DVec3::NEG_X).unwrap();
+        for (name, fits) in [("ball-1.4x24", false), ("ball-1x16", true)] {
+            let tool = machine.tools.iter().find(|t| t.name == name).unwrap();
+            let after = |stands: &BitGrid| room.after(stands, None, &some, (tool, along));
+            assert_eq!(after(&target) == some, fits, "{name}");
+            assert_eq!(after(&target).is_empty(), !fits, "{name}");
+            assert_eq!(after(&target.and(&low)), some, "{name}");
+            assert_eq!(after(&BitGrid::new(frame.dims)), some, "{name}");
         }
     }
 

@@ -220,11 +220,11 @@ impl Turn<'_, '_> {
                 }
             }
             // How wide a tapered edge is where it passes the surface is not told by its end.
-            Some(tool) if tool.is_tapered() => step.region.minus(&self.room.of_those(
-                Some(self.points),
-                &step.region,
-                (tool, step.direction),
-            )),
+            Some(tool) if tool.is_tapered() => {
+                let (after, way) = (state.minus(&step.region), (tool, step.direction));
+                let roomy = self.room.after(&after, Some(self.points), &step.region, way);
+                step.region.minus(&roomy)
+            }
             Some(_) => self.crowded(state, step),
         }
     }

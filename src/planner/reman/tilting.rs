@@ -144,7 +144,7 @@ impl<'a> Turn<'_, 'a> {
                 let crowded = self.crowded(&state, &steps[i]);
                 if is_worth_it(&crowded, &steps[i]) {
                     let left = self.left_to_later(&state, &mut steps[i..], crowded)?;
-                    let left = self.crowded_by_target(&left, &steps[i]);
+                    let left = self.crowded_by_target(&state, &left, &steps[i]);
                     if is_worth_it(&left, &steps[i]) {
                         let more = self.tilted_cuts(&state, &mut steps[i], left)?;
                         steps.splice(i + 1..i + 1, more);
@@ -169,14 +169,16 @@ impl<'a> Turn<'_, 'a> {
         let way = (tool, step.direction);
         let wide = (tool, step.direction, WIDER_VOXELS);
         let tight = step.region.minus(&with_room(job, state, &step.region, self.fixed, wide));
-        tight.minus(&self.room.of_those(Some(self.points), &tight, way))
+        let after = state.minus(&step.region);
+        tight.minus(&self.room.after(&after, Some(self.points), &tight, way))
     }
 
     /// What of the crowded of a cut has no room beside the target alone. Beside pedestal and table other directions
     /// seldom have more, and looking for them takes seconds.
-    fn crowded_by_target(&self, crowded: &BitGrid, step: &Step) -> BitGrid {
+    fn crowded_by_target(&self, state: &BitGrid, crowded: &BitGrid, step: &Step) -> BitGrid {
         let Some(tool) = self.tool(step) else { return crowded.clone() };
-        crowded.minus(&self.room.of_those(None, crowded, (tool, step.direction)))
+        let (after, way) = (state.minus(&step.region), (tool, step.direction));
+        crowded.minus(&self.room.after(&after, None, crowded, way))
     }
 
     /// Leaves what is crowded of the first of some cuts to those after it, as far as they have room; returns the rest.
@@ -187,14 +189,14 @@ impl<'a> Turn<'_, 'a> {
         mut crowded: BitGrid,
     ) -> Result<BitGrid, PlanError> {
         let mut homes: Vec<(usize, BitGrid)> = Vec::new();
+        let mut after = state.minus(&steps[0].region);
         for (j, step) in steps.iter().enumerate().skip(1).take(AHEAD) {
             self.run.ctx.check()?;
+            after.subtract(&step.region);
             // Of other ends it is not known whether they have room.
             if let Some(tool) = self.tool(step).filter(|t| Room::is_told_of(t)) {
-                homes.push((
-                    j,
-                    self.room.of_those(Some(self.points), &crowded, (tool, step.direction)),
-                ));
+                let way = (tool, step.direction);
+                homes.push((j, self.room.after(&after, Some(self.points), &crowded, way)));
             }
         }
         for _ in 0..MOST_HOMES {
@@ -238,8 +240,10 @@ impl<'a> Turn<'_, 'a> {
             let Standing { mut new, state: before, taken } = made;
             let home = &steps[last];
             let still_crowded = self.tool(home).map_or(taken.count(), |tool| {
-                taken.count()
-                    - self.room.of_those(Some(self.points), &taken, (tool, home.direction)).count()
+                let after = before.minus(&home.region).minus(&taken);
+                let way = (tool, home.direction);
+                let its = self.room.after(&after, Some(self.points), &taken, way);
+                taken.count() - its.count()
             });
             if STILL_CROWDED * still_crowded > its.count() {
                 break;
@@ -308,7 +312,7 @@ impl<'a> Turn<'_, 'a> {
                 break;
             }
             self.run.ctx.check()?;
-            let Some((way, its)) = self.roomiest(&mut ways, &crowded) else { break };
+            let Some((way, its)) = self.roomiest(&after, &mut ways, &crowded) else { break };
             cuts.push(Step {
                 kind: StepKind::Subtractive,
                 tool: way.tool.name.clone(),
@@ -327,10 +331,11 @@ impl<'a> Turn<'_, 'a> {
         Ok(cuts)
     }
 
-    /// The way that has room for most of some voxels, taken out of the ways, and that much of them; none where
+    /// The way that has room for most of some voxels beside what stands after them, taken out of the ways, and that much of them; none where
     /// none has for a share of them. Ways that reach less than that are dropped.
     fn roomiest<'t>(
         &self,
+        after: &BitGrid,
         ways: &mut Vec<Reach<'t>>,
         crowded: &BitGrid,
     ) -> Option<(Reach<'t>, BitGrid)> {
@@ -347,8 +352,8 @@ impl<'a> Turn<'_, 'a> {
             }
             let mut its = BitGrid::new(crowded.dims());
             way.bound.add_to(&mut its);
-            let its =
-                self.room.of_those(Some(self.points), &its.and(crowded), (way.tool, way.direction));
+            its.intersect_with(crowded);
+            let its = self.room.after(after, Some(self.points), &its, (way.tool, way.direction));
             if its.count() > most {
                 best = Some((i, its));
             }
