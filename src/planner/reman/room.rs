@@ -95,37 +95,74 @@ impl<'a> Room<'a> {
     ) -> BitGrid {
         let roomy = self.of_those(fixed, some, way);
         let none = some.minus(&roomy);
-        // What is printed later is in no cutter's way.
-        if none.count() < LEAST_ASKED || self.target.is_subset_of(stands) {
+        if none.count() < LEAST_ASKED {
             return roomy;
         }
-        let standing =
-            Room { surface: self.standing(stands, &none, way), known: Mutex::default(), ..*self };
-        roomy.or(&standing.of_those(fixed, &none, way))
+        // What is printed later is in no cutter's way.
+        let open = self.beside_gaps(stands, &none, way);
+        if open.is_empty() {
+            return roomy;
+        }
+        let near = self.reach(&open, way);
+        let surface = self.standing(stands, near, way.0.active_radius());
+        let standing = Room { surface, known: Mutex::default(), ..*self };
+        roomy.or(&standing.of_those(fixed, &open, way))
     }
 
-    /// What stands of the target's surface where a cutter may be that is at some voxels.
-    fn standing(
+    /// Those of some voxels beside and over which any of the target does not stand, as far as a cutter's edge may be
+    /// there.
+    fn beside_gaps(
         &self,
         stands: &BitGrid,
         some: &BitGrid,
         (tool, direction): (&Tool, Direction),
-    ) -> NearestTriangle {
-        // The ball may be to any side of a voxel that it is at.
-        let aside = 2.0 * (tool.active_radius() + self.frame.pitch);
-        let near = some.extent().map_or(Aabb::EMPTY, |(low, high)| {
+    ) -> BitGrid {
+        let (plane, aside) = (direction.image_plane(), self.aside(tool));
+        let near = self.reach(some, (tool, direction));
+        let place = |p: DVec3| (plane.across(p) / aside).floor().to_array().map(|c| c as i64);
+        let mut tops: HashMap<[i64; 2], f64> = HashMap::new();
+        for p in self.target.minus(stands).iter_ones().map(|v| self.frame.center(v)) {
+            if p.cmpge(near.min).all() && p.cmple(near.max).all() {
+                let top = tops.entry(place(p)).or_insert(f64::NEG_INFINITY);
+                *top = top.max(plane.height(p));
+            }
+        }
+        let is_open = |v: &[usize; 3]| {
+            let p = self.frame.center(*v);
+            let ([i, j], low) = (place(p), plane.height(p) - aside);
+            let mut beside = (-1..=1).flat_map(|b| (-1..=1).map(move |a| [i + a, j + b]));
+            beside.any(|at| tops.get(&at).is_some_and(|top| *top >= low))
+        };
+        let mut open = BitGrid::new(some.dims());
+        some.iter_ones().filter(is_open).for_each(|v| open.set(v, true));
+        open
+    }
+
+    /// How far from a voxel that it is at a cutter may be to any side, its own width and a voxel over.
+    fn aside(&self, tool: &Tool) -> f64 {
+        2.0 * (tool.active_radius() + self.frame.pitch)
+    }
+
+    /// A box of all that a cutter's edge may be in at some voxels.
+    fn reach(&self, some: &BitGrid, (tool, direction): (&Tool, Direction)) -> Aabb {
+        let aside = self.aside(tool);
+        some.extent().map_or(Aabb::EMPTY, |(low, high)| {
             let ends = [low, high].map(|v| self.frame.center(v));
             let tops = ends.map(|p| p + direction.vec() * tool.active_length());
             let all = Aabb::of(ends.into_iter().chain(tops));
             Aabb { min: all.min - aside, max: all.max + aside }
-        });
+        })
+    }
+
+    /// What stands of the target's surface within a box, for cutters so wide.
+    fn standing(&self, stands: &BitGrid, near: Aabb, radius: f64) -> NearestTriangle {
         let is_near = |t: &[DVec3; 3]| {
             let its = Aabb::of(*t);
             its.min.cmple(near.max).all() && its.max.cmpge(near.min).all()
         };
         let solids = [&stands.and(self.target), self.target];
         let pieces = standing(self.mesh, solids, self.frame, &is_near, Rim::Parted);
-        NearestTriangle::among(pieces, tool.active_radius())
+        NearestTriangle::among(pieces, radius)
     }
 
     /// Whether it is known where a cutter has room: one with a ball end, tapered or not.
