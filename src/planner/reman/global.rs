@@ -133,8 +133,8 @@ pub fn choose(
     report.notes.clear();
     if !found.uncovered.is_empty() {
         report.notes.push(format!(
-            "{} of {} regions that ask for a clipping plane reach down to where the part is held: no \
-             plane gives them up and leaves it standing.",
+            "{} of {} regions out of tools' reach are not opened by giving up material over a clipping plane: they \
+             reach down to where the part is held. Other ways are tried for them.",
             found.uncovered.len(),
             elements.len()
         ));

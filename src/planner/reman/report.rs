@@ -58,8 +58,9 @@ impl Report {
     /// Says that so many printed voxels are too many to look for local planes.
     pub fn note_too_large(&mut self, voxels: usize) {
         self.notes.push(format!(
-            "Local planes were not looked for: the plan prints {voxels} voxels, more than \
-             {LOCAL_VOXELS}; a coarser --resolution looks for them"
+            "Clipping planes for single regions, which may keep more of the initial part, were not searched for: \
+             {voxels} voxels are to be printed, and the search takes no more than {LOCAL_VOXELS}; a coarser \
+             grid (--resolution) allows it"
         ));
     }
 
