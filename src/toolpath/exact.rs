@@ -3,9 +3,9 @@
 //! Method: of the output state's surface, what lies on M* is taken from M*'s triangles and what lies
 //! outside M* on M from M's; triangles that only partly stand are divided until their pieces do or
 //! do not. The end of the cutter rests on those by drop-cutter. Faces that cuts leave inside M
-//! have no triangles: there the voxels are the obstacle, with their margin; so are they, without one,
-//! where material stands that later steps cut, supports among it, and where a slender end goes down beside a surface
-//! into what such a face was cut over. The tips of cells keep off the middles of the cells
+//! have no triangles: there the voxels are the obstacle, with their margin. So are they, without one,
+//! where material stands that later steps cut, supports among it; and, for ends narrower than voxels may be away from
+//! the surface beside them, where what was over such voxels is cut. The tips of cells keep off the middles of the cells
 //! that these obstacles lie in, tips between them off the obstacles where they are. Where the target would be nicked else,
 //! tips may pass M's surface outside M*, which goes later, as far as its voxels' middles and a nick let them.
 //! Shank and holder are held against the voxels alone.
@@ -33,8 +33,8 @@ pub(super) struct Exact {
     faces: Bare,
     /// The same of material outside the target, which goes later: there is no surface to keep.
     passing: Bare,
-    /// Of what a slender end may be in without touching the surface beside it: the target's where what was over it is
-    /// gone.
+    /// Voxels of the target that have a surface beside them, but that a slender end may be in without touching it, since
+    /// what was over them is gone.
     uncovered: Bare,
     /// Half a pitch, mm.
     half: f64,
