@@ -98,8 +98,9 @@ impl Exact {
         // No point of the surface is farther from its voxel.
         let far = NEAR_PITCH * work.frame.pitch + free.window.s;
         let bound = free.heights(work.tool, far, far, work.ctx)?;
-        let rims = [Rim::Kept, Rim::Parted].map(Some);
-        let mut exact = Exact::over(work, free, (end, bound), (rims, work.surfaces));
+        let [target, initial] = work.surfaces;
+        let told = [Some((Rim::Kept, target)), Some((Rim::Parted, initial))];
+        let mut exact = Exact::standing(work, free, (end, bound), told);
         let (lattice, drop) = (free.window, &exact.drop);
         let rows = exact.resting.data.par_chunks_mut(lattice.n[0].max(1)).enumerate();
         rows.try_for_each(|(j, row)| -> Result<(), Cancelled> {
@@ -118,18 +119,17 @@ impl Exact {
     /// For tips between the lattice's cells that may pass what goes later: over the target's surface alone, to its rim.
     /// Of what goes later the middles of voxels are kept, whether they have a surface or not.
     pub fn past(&self, work: &Work, free: &Free) -> Exact {
-        let told = [work.surfaces[0].clone(), BitGrid::new(work.after.dims())];
-        let of = (self.end, self.bound.clone());
-        Exact::over(work, free, of, ([Some(Rim::Parted), None], &told))
+        let told = [Some((Rim::Parted, &work.surfaces[0])), None];
+        Exact::standing(work, free, (self.end, self.bound.clone()), told)
     }
 
-    /// Over what stands of M* and M along some rims, if any of it, with obstacles where voxels are not `told` by their
-    /// surfaces; nothing rests at the cells yet.
-    fn over(
+    /// Over what stands of M* and M, of each along a rim or nothing of it, with obstacles where no surface tells of
+    /// voxels: which these are is told with the rim. Nothing rests at the cells yet.
+    fn standing(
         work: &Work,
         free: &Free,
         (end, bound): (End, Image),
-        (rims, told): ([Option<Rim>; 2], &[BitGrid; 2]),
+        told: [Option<(Rim, &BitGrid)>; 2],
     ) -> Exact {
         let h = work.frame.pitch;
         let (target, meshes) = (&work.job.target, [&work.job.target_mesh, &work.job.initial_mesh]);
@@ -148,17 +148,17 @@ impl Exact {
             is_near(a.min(b).min(c), a.max(b).max(c))
         };
         let wholes = [target, &outside];
-        for (((mesh, solid), whole), rim) in meshes.iter().zip(&stands).zip(wholes).zip(rims) {
-            if let Some(rim) = rim {
+        for (((mesh, solid), whole), told) in meshes.iter().zip(&stands).zip(wholes).zip(told) {
+            if let Some((rim, _)) = told {
                 let pieces = standing(mesh, [solid, whole], work.frame, &is_piece_near, rim);
                 triangles.extend(pieces.into_iter().map(|t| t.map(turned)));
             }
         }
-        let over = over(work.step.direction.vec());
+        let above = neighbours_above(work.step.direction.vec());
         let is_slender = work.tool.tip_radius() < NEAR_PITCH * h;
         let is_uncovered = |v: [usize; 3], side: usize| {
             let is_gone = |at| wholes[side].get_or_empty(at) && !stands[side].get_or_empty(at);
-            is_slender && over.iter().any(|by| is_gone([0, 1, 2].map(|a| v[a] as i64 + by[a])))
+            is_slender && above.iter().any(|by| is_gone([0, 1, 2].map(|a| v[a] as i64 + by[a])))
         };
         // Which voxels are obstacles themselves, and whether a surface is beside them.
         let shell: Vec<[usize; 3]> = work.after.boundary().iter_ones().collect();
@@ -170,7 +170,7 @@ impl Exact {
                     return None;
                 }
                 let side = wholes.iter().position(|whole| whole.get(*v));
-                let told = side.filter(|side| told[*side].get(*v));
+                let told = side.filter(|side| told[*side].is_some_and(|(_, near)| near.get(*v)));
                 let is_bare = told.is_none_or(|side| is_uncovered(*v, side));
                 is_bare.then_some((*v, p, told.is_some()))
             })
@@ -396,15 +396,15 @@ impl Exact {
     }
 }
 
-/// Ways to the neighbours of a voxel that lie over it, seen along a direction.
-fn over(direction: DVec3) -> Vec<[i64; 3]> {
+/// Offsets of the neighbours of a voxel that lie above it along a direction.
+fn neighbours_above(direction: DVec3) -> Vec<[i64; 3]> {
     let all = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
-    let is_over = |by: &[i64; 3]| DVec3::from_array(by.map(|a| a as f64)).dot(direction) > OVER;
-    all.filter(is_over).collect()
+    let is_above = |by: &[i64; 3]| DVec3::from_array(by.map(|a| a as f64)).dot(direction) > ABOVE;
+    all.filter(is_above).collect()
 }
 
-/// Least height of a neighbour that lies over a voxel, in pitches.
-const OVER: f64 = 1e-6;
+/// A neighbour lies above a voxel by more than this, in pitches: the rounding of directions.
+const ABOVE: f64 = 1e-6;
 
 /// How much nearer than a cell's centre two positions are one, in cells.
 const ON_CELL: f64 = 1e-6;

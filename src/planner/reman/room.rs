@@ -170,7 +170,7 @@ impl<'a> Room<'a> {
         tool.has_ball_end() || tool.is_tapered()
     }
 
-    /// The same beside all of the surface.
+    /// As [`Room::after`], beside all of the surface.
     fn of_those(
         &self,
         fixed: Option<&Points>,
