@@ -81,18 +81,18 @@ pub fn print_backward(
 }
 
 /// What stands at some time, looked at from the end.
-struct Standing<'s> {
-    job: &'s Job,
+pub struct Standing<'s> {
+    pub job: &'s Job,
     /// What stood before anything was printed.
-    state: &'s BitGrid,
+    pub state: &'s BitGrid,
     /// What of that which is to be printed stands yet, beyond skin and in all.
-    core: &'s BitGrid,
-    left: &'s BitGrid,
+    pub core: &'s BitGrid,
+    pub left: &'s BitGrid,
 }
 
 impl Standing<'_> {
     /// The largest block of the core that a way could have laid last; none if it is no larger than `known`.
-    fn last_block(&self, way: Way, fixed: &[DVec3], known: usize) -> BitGrid {
+    pub fn last_block(&self, way: Way, fixed: &[DVec3], known: usize) -> BitGrid {
         let job = self.job;
         let table = CarrierTable::new(way.direction, job.rules.overhang_deg);
         let mut block = supported(&table, &self.state.or(self.left), self.core);

@@ -62,6 +62,7 @@
 //! conservative maps of [`crate::access`]. Not guaranteed: that the residual is zero, or that the
 //! reused volume is the largest possible.
 
+mod around;
 mod aside;
 mod backward;
 pub(super) mod bridges;

@@ -316,6 +316,55 @@ pub fn print_in_order(
     Ok(press.printing)
 }
 
+/// Some of what is wanted along few ways, whatever their blocks' sizes, the largest first.
+pub fn print_closely<'a>(
+    setting: &Setting<'a>,
+    coarse: &Coarse,
+    wanted: &Wanted,
+    (some, ways): (&BitGrid, &[Way<'a>]),
+    ctx: &Ctx,
+) -> Result<Printing, Cancelled> {
+    let Some(mut press) = Press::new(setting, coarse, wanted) else {
+        return Ok(wanted.unprinted());
+    };
+    press.closely = true;
+    loop {
+        let left = press.printing.unreached.and(some);
+        let fixed = press.fixed();
+        match press.fine(&left, &fixed).best(ways, ctx)? {
+            Some(block) => press.put(block, fixed),
+            None => return Ok(press.printing),
+        }
+    }
+}
+
+/// After what is printed, blocks just as they are given.
+pub fn print_each(
+    setting: &Setting,
+    coarse: &Coarse,
+    wanted: &Wanted,
+    (before, blocks): (&Printing, &[(Way, BitGrid)]),
+    ctx: &Ctx,
+) -> Result<Printing, Cancelled> {
+    let Some(mut press) = Press::new(setting, coarse, wanted) else {
+        return Ok(wanted.unprinted());
+    };
+    (press.printing, press.closely) = (before.clone(), true);
+    for (way, region) in blocks {
+        ctx.check()?;
+        let Some(tool) = setting.nozzles().iter().find(|t| t.name == way.tool.name) else {
+            continue;
+        };
+        let fixed = press.fixed();
+        let left = region.and(&press.printing.unreached);
+        let block = press.fine(&left, &fixed).lay(Way { tool, ..*way });
+        if block.gain > 0 {
+            press.put(block, fixed);
+        }
+    }
+    Ok(press.printing)
+}
+
 /// Which supports may be printed.
 #[derive(Clone, Copy)]
 pub struct OnSupports<'o> {

@@ -1,5 +1,6 @@
 //! One round of the planner: planes are given; cut, then print.
 
+use super::around::print_around;
 use super::backward::print_backward;
 use super::clip::Clip;
 use super::coarse::Coarse;
@@ -277,6 +278,13 @@ pub fn printed(
         if let Some(other) = other.filter(|o| left(o) < left(&best)) {
             tracing::debug!(left = left(&other), best = left(&best), "backward");
             best = other;
+        }
+        if left(&best) > 0 && !ctx.out_of_time() {
+            let other = print_around(setting, coarse, wanted, ctx)?;
+            if let Some(other) = other.filter(|o| left(o) < left(&best)) {
+                tracing::debug!(left = left(&other), best = left(&best), "around");
+                best = other;
+            }
         }
     }
     'mending: while (1..=most).contains(&left(&best)) {
