@@ -241,9 +241,9 @@ pub fn along(clips: &[Clip], preferred: &[Direction]) -> Vec<Direction> {
 }
 
 /// Prints, the largest block first; where that leaves anything, along the axes first, and where that leaves more than
-/// crumbs, in an order found from its end; while the best of these leaves a little, once more with the space of some
-/// later block left free from the beginning, and so on with the best of these; what little that leaves in the end, in
-/// blocks however small.
+/// crumbs, in an order found from its end, and all around where that leaves anything; while the best of these leaves a
+/// little, once more with the space of some later block left free from the beginning, and so on with the best of these;
+/// what little that leaves in the end, in blocks however small.
 pub fn printed(
     setting: &Setting,
     coarse: &Coarse,
