@@ -52,16 +52,7 @@ pub fn print_backward(
     let mut order: Vec<(Way, BitGrid)> = Vec::new();
     loop {
         let standing = Standing { job: setting.job, state: wanted.state, core: &core, left: &left };
-        let mut best: Option<(usize, Way, BitGrid)> = None;
-        for way in &ways {
-            ctx.check()?;
-            let known = best.as_ref().map_or(0, |b| b.0);
-            let block = standing.last_block(*way, &fixed[way.holding], known);
-            let gain = block.count();
-            if gain > known {
-                best = Some((gain, *way, block));
-            }
-        }
+        let best = standing.largest(&ways, &fixed, ctx)?;
         let Some((gain, way, mut block)) = best else { break };
         if (gain as f64) < LEAST_SHARE * all {
             break;
@@ -91,6 +82,26 @@ pub struct Standing<'s> {
 }
 
 impl Standing<'_> {
+    /// The largest block that any of some ways could have laid last, with its size in voxels; of equals the first.
+    pub fn largest<'a>(
+        &self,
+        ways: &[Way<'a>],
+        fixed: &[Vec<DVec3>],
+        ctx: &Ctx,
+    ) -> Result<Option<(usize, Way<'a>, BitGrid)>, Cancelled> {
+        let mut best: Option<(usize, Way, BitGrid)> = None;
+        for way in ways {
+            ctx.check()?;
+            let known = best.as_ref().map_or(0, |b| b.0);
+            let block = self.last_block(*way, &fixed[way.holding], known);
+            let gain = block.count();
+            if gain > known {
+                best = Some((gain, *way, block));
+            }
+        }
+        Ok(best)
+    }
+
     /// The largest block of the core that a way could have laid last; none if it is no larger than `known`.
     pub fn last_block(&self, way: Way, fixed: &[DVec3], known: usize) -> BitGrid {
         let job = self.job;
