@@ -26,6 +26,8 @@ struct Standing<'a> {
     heights: Vec<f64>,
     /// First and past the last that stands of `heights`, of each cell.
     stand: Vec<[u32; 2]>,
+    /// The last that stands of each cell; below everything where none does.
+    tops: Vec<f64>,
     blocks: Cells,
     /// Not below the highest centre that stands in each block.
     bounds: Vec<f64>,
@@ -73,12 +75,15 @@ impl<'a> Standing<'a> {
             centers.iter().filter_map(|p| Some((cells.at(p.truncate())?, p.z))).collect();
         by_cell.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
         let mut stand = vec![[0u32; 2]; cells.count()];
+        let mut tops = vec![f64::NEG_INFINITY; cells.count()];
         for (k, run) in by_cell.chunk_by(|a, b| a.0 == b.0).scan(0, |from, run| {
             let first = *from;
             *from += run.len();
             Some((first, run))
         }) {
-            stand[run[0].0] = [k as u32, (k + run.len()) as u32];
+            let (cell, top) = run[run.len() - 1];
+            stand[cell] = [k as u32, (k + run.len()) as u32];
+            tops[cell] = top;
         }
         let blocks = Cells::over(cells.origin, cells.end(), h * BLOCK as f64);
         let mut all = Standing {
@@ -87,6 +92,7 @@ impl<'a> Standing<'a> {
             cells,
             heights: by_cell.into_iter().map(|(_, z)| z).collect(),
             stand,
+            tops,
             blocks,
             bounds: vec![f64::NEG_INFINITY; blocks.count()],
             bound,
@@ -100,11 +106,6 @@ impl<'a> Standing<'a> {
         Some(all)
     }
 
-    fn top(&self, cell: usize) -> Option<f64> {
-        let [from, to] = self.stand[cell];
-        (from < to).then(|| self.heights[to as usize - 1])
-    }
-
     fn cells_of(&self, block: usize) -> impl Iterator<Item = usize> + use<> {
         let [i, j] = [block % self.blocks.n[0], block / self.blocks.n[0]].map(|k| k * BLOCK);
         let [nu, nv] = self.cells.n;
@@ -113,8 +114,7 @@ impl<'a> Standing<'a> {
     }
 
     fn highest(&self, block: usize) -> f64 {
-        let tops = self.cells_of(block).filter_map(|c| self.top(c));
-        tops.fold(f64::NEG_INFINITY, f64::max)
+        self.cells_of(block).map(|c| self.tops[c]).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// Middle of a cell.
@@ -126,19 +126,27 @@ impl<'a> Standing<'a> {
     /// Takes what the edge with its tip at a place comes near.
     fn cut(&mut self, uv: DVec2, z: f64) {
         let reach = DVec2::splat(self.tool.active_radius() + self.slack);
-        for c in self.cells.within(uv - reach, uv + reach) {
-            let [from, mut to] = self.stand[c];
-            // No edge reaches below its tip.
-            if from == to || self.heights[to as usize - 1] < z - self.slack {
-                continue;
+        for row in self.cells.rows_within(uv - reach, uv + reach) {
+            for c in row {
+                // No edge reaches below its tip.
+                if self.tops[c] < z - self.slack {
+                    continue;
+                }
+                self.cut_cell(c, uv, z);
             }
-            let rho = (Self::middle(&self.cells, c).distance(uv) - self.slack).max(0.0);
-            let lowest = z + self.tool.active_lower_surface(rho) - self.slack;
-            while from < to && self.heights[to as usize - 1] >= lowest {
-                to -= 1;
-            }
-            self.stand[c] = [from, to];
         }
+    }
+
+    fn cut_cell(&mut self, c: usize, uv: DVec2, z: f64) {
+        let [from, mut to] = self.stand[c];
+        let rho = (Self::middle(&self.cells, c).distance(uv) - self.slack).max(0.0);
+        let lowest = z + self.tool.active_lower_surface(rho) - self.slack;
+        while from < to && self.heights[to as usize - 1] >= lowest {
+            to -= 1;
+        }
+        self.stand[c] = [from, to];
+        let highest = (from < to).then(|| self.heights[to as usize - 1]);
+        self.tops[c] = highest.unwrap_or(f64::NEG_INFINITY);
     }
 
     /// A centre inside what does not cut of the tool with its tip at a place.
@@ -160,8 +168,10 @@ impl<'a> Standing<'a> {
                 continue;
             }
             for c in self.cells_of(b) {
-                let Some(top) = self.top(c) else { continue };
-                let at = Self::middle(&self.cells, c);
+                let (at, top) = (Self::middle(&self.cells, c), self.tops[c]);
+                if top <= z + self.clear + slack {
+                    continue;
+                }
                 if top > idle(at.distance(uv)) {
                     return Some(self.plane.world(at, top));
                 }

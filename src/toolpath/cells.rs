@@ -1,4 +1,5 @@
 use crate::base::DVec2;
+use std::ops::Range;
 
 /// Square cells over a box of (u, v).
 #[derive(Clone, Copy, Debug)]
@@ -47,10 +48,15 @@ impl Cells {
 
     /// Indices of the cells that a box meets, row by row.
     pub fn within(&self, lo: DVec2, hi: DVec2) -> impl Iterator<Item = usize> + use<> {
+        self.rows_within(lo, hi).flatten()
+    }
+
+    /// The same, each row's by themselves.
+    pub fn rows_within(&self, lo: DVec2, hi: DVec2) -> impl Iterator<Item = Range<usize>> + use<> {
         let (a, b, n) = (self.coordinates(lo), self.coordinates(hi), self.n);
         let clip = |x: i64, k: usize| x.clamp(0, n[k] as i64) as usize;
         let (i0, i1) = (clip(a[0], 0), clip(b[0] + 1, 0));
-        (clip(a[1], 1)..clip(b[1] + 1, 1)).flat_map(move |j| (i0..i1).map(move |i| i + n[0] * j))
+        (clip(a[1], 1)..clip(b[1] + 1, 1)).map(move |j| i0 + n[0] * j..i1 + n[0] * j)
     }
 }
 
