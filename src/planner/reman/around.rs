@@ -91,7 +91,7 @@ pub fn print_around(
 }
 
 /// Directions all around that rise a little less over the base than the overhang angle.
-fn leaning(overhang_deg: f64) -> Vec<Direction> {
+pub fn leaning(overhang_deg: f64) -> Vec<Direction> {
     let (rise, aside) = (overhang_deg - SPARE_DEG).to_radians().sin_cos();
     let around = (0..LEANING).map(|k| std::f64::consts::TAU * k as f64 / LEANING as f64);
     let along = |a: f64| DVec3::new(aside * a.cos(), aside * a.sin(), rise);

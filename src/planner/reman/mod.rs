@@ -36,6 +36,8 @@
 //!   is printed on supports, and both are cut at the end, with slender tools if need be, if that
 //!   leaves less (`last_resort`); of large parts at once, where a coarse look says that the rules'
 //!   deviation cannot be met without. The paper does without supports, to save their material.
+//! - Over pockets out of which no supports could be cut, roofs grow out of the walls along leaning directions
+//!   (`printing::roofs`).
 //! - Where global planes leave more than the rules allow and give something up, and supports would not
 //!   mend that, all is printed on the part as it is, before any cut (`printed_first`).
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).

@@ -12,6 +12,8 @@
 //! Guarantees: each block's voxels are carried, clear and connected when they are laid. Not
 //! guaranteed: that every voxel finds its turn; what no block reaches is returned.
 
+mod roofs;
+
 use super::coarse::Coarse;
 use super::laying::{Block, Layer, Way, ways_along};
 use super::setting::Setting;
@@ -242,13 +244,16 @@ pub fn print_on_supports(
     let Some(mut press) = Press::new(setting, coarse, wanted) else {
         return Ok(wanted.unprinted());
     };
+    // What is printed ahead is no use where it closes the way straight down to more than itself.
+    press.shown = (on.direction == Direction::Z).then(|| wanted.added.minus(on.ahead));
     press.print_ahead(on.ahead, ctx)?;
+    press.shown = None;
     if let Some(way) = press.way_along(on.direction) {
         let fixed = press.fixed();
         let left = press.printing.unreached.clone();
         let block = lay_on_supports(&press.fine(&left, &fixed), way, &on);
         if block.gain >= press.least {
-            press.take(block, left, fixed);
+            press.print_with_roofs(block, &on, ctx)?;
         }
     }
     press.print_among(wanted.added, ctx)?;
@@ -398,6 +403,8 @@ struct Press<'s, 'a> {
     printing: Printing,
     /// See [`Layer::closely`].
     closely: bool,
+    /// What no block hides from straight above; where there is none, blocks may hide all.
+    shown: Option<BitGrid>,
 }
 
 impl<'s, 'a> Press<'s, 'a> {
@@ -420,6 +427,7 @@ impl<'s, 'a> Press<'s, 'a> {
             least: share.max(LEAST_MM3 / setting.job.frame.voxel_volume()).ceil() as usize,
             printing: wanted.unprinted(),
             closely: false,
+            shown: None,
         })
     }
 }
@@ -451,7 +459,14 @@ impl<'a> Press<'_, 'a> {
                 self.printing.was_given_up = true;
                 return Ok(());
             }
-            let block = self.fine(&left, &fixed).with_shorter(block, self.shorter);
+            let fine = self.fine(&left, &fixed);
+            let mut block = fine.with_shorter(block, self.shorter);
+            if let Some(shown) = &self.shown {
+                block = roofs::hiding_nothing(&fine, block, shown);
+                if block.gain < self.least {
+                    return Ok(());
+                }
+            }
             self.take(block, left, fixed);
         }
     }
