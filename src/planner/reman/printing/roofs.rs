@@ -182,7 +182,7 @@ impl<'a> Press<'_, 'a> {
             }
             let Some(block) = best else { break };
             let unlaid = self.printing.unreached.or(rest);
-            let block = hiding_nothing(&layer, block, &unlaid);
+            let block = hiding_nothing(&layer, &block, &unlaid);
             if block.gain < self.least_of_roof() {
                 break;
             }
@@ -195,11 +195,8 @@ impl<'a> Press<'_, 'a> {
 }
 
 /// A block without what stands over anything that is not laid with it, and without what that carries.
-pub(super) fn hiding_nothing<'a>(
-    layer: &Layer,
-    mut block: Block<'a>,
-    unlaid: &BitGrid,
-) -> Block<'a> {
+pub(super) fn hiding_nothing<'a>(layer: &Layer, all: &Block<'a>, unlaid: &BitGrid) -> Block<'a> {
+    let mut block = Block { region: all.region.clone(), ..*all };
     loop {
         let floors = lowest_of_columns(&unlaid.minus(&block.region));
         let [nx, _, _] = unlaid.dims();
@@ -212,6 +209,18 @@ pub(super) fn hiding_nothing<'a>(
         }
         block = Layer { left: &kept, ..*layer }.lay(block.way);
     }
+}
+
+/// How many voxels that are not laid with a block stand under it.
+pub(super) fn hidden_by(block: &Block, unlaid: &BitGrid) -> usize {
+    let [nx, ny, _] = unlaid.dims();
+    let mut highest = vec![0; nx * ny];
+    for [x, y, z] in block.region.iter_ones() {
+        let column = &mut highest[x + nx * y];
+        *column = z.max(*column);
+    }
+    let is_hidden = |[x, y, z]: &[usize; 3]| *z < highest[x + nx * y];
+    unlaid.minus(&block.region).iter_ones().filter(is_hidden).count()
 }
 
 /// Layer of the lowest voxel of each column along z, x first; past all layers where there is none.
@@ -310,7 +319,9 @@ mod tests {
         let block = layer.lay(Way { direction, holding: 0, tool });
         let columns = |b: &BitGrid| b.iter_ones().map(|v| v[0]).max();
         assert_eq!(columns(&block.region), Some(19));
-        let kept = hiding_nothing(&layer, block, &unlaid);
+        assert_eq!(hidden_by(&block, &unlaid), 20);
+        let kept = hiding_nothing(&layer, &block, &unlaid);
+        assert_eq!(hidden_by(&kept, &unlaid), 0);
         // What lies beyond the ridge has nothing left to grow out of.
         assert_eq!(columns(&kept.region), Some(13));
         assert_eq!(kept.gain, kept.region.count());
