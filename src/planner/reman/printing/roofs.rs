@@ -61,9 +61,9 @@ impl<'a> Press<'_, 'a> {
         }
         let open = Layer { left: &missing, ..self.fine(&left, &fixed) };
         let open = open.clear_along_any(&[block.way], ctx)?;
-        let roofs = self.roofs(&missing, block.way.direction, (f64::NEG_INFINITY, 0));
-        let roofs: Vec<Roof> =
-            roofs.into_iter().filter(|r| 2 * r.body.count_and(&open) > r.body.count()).collect();
+        let is_open = |body: &BitGrid| 2 * body.count_and(&open) > body.count();
+        let from_below = (f64::NEG_INFINITY, 0);
+        let roofs = self.roofs(&missing, block.way.direction, from_below, is_open);
         if !roofs.is_empty() {
             let before = self.printing.clone();
             self.by_floors(roofs, &block, on, ctx)?;
@@ -78,22 +78,28 @@ impl<'a> Press<'_, 'a> {
         Ok(())
     }
 
-    /// Bodies of what is missing that are large enough for a block and reach up to a height.
-    fn roofs(&self, missing: &BitGrid, up: Direction, (from, in_vain): (f64, usize)) -> Vec<Roof> {
+    /// Of the bodies of what is missing that are wanted, large enough for a block and reach up to a height, the largest.
+    fn roofs(
+        &self,
+        missing: &BitGrid,
+        up: Direction,
+        (from, in_vain): (f64, usize),
+        is_wanted: impl Fn(&BitGrid) -> bool,
+    ) -> Vec<Roof> {
         let frame = &self.setting.job.frame;
         let least = self.least_of_roof();
         let bodies = components(missing, Connectivity::Corner26);
-        let all = (0..bodies.count()).map(|l| bodies.grid_of(l as u32));
+        let sizes = bodies.sizes();
+        let mut labels: Vec<usize> = (0..sizes.len()).filter(|l| sizes[*l] >= least).collect();
+        labels.sort_by_key(|l| std::cmp::Reverse(sizes[*l]));
         let due = |body: BitGrid| {
             let heights = body.iter_ones().map(|v| up.dot(frame.center(v)));
             let (lo, hi) =
                 heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
             (hi >= from).then_some(Roof { in_vain, from: from.max(lo - frame.pitch / 2.0), body })
         };
-        let mut roofs: Vec<Roof> = all.filter(|b| b.count() >= least).filter_map(due).collect();
-        roofs.sort_by_key(|r| std::cmp::Reverse(r.body.count()));
-        roofs.truncate(MOST_ROOFS);
-        roofs
+        let all = labels.into_iter().map(|l| bodies.grid_of(l as u32));
+        all.filter(is_wanted).filter_map(due).take(MOST_ROOFS).collect()
     }
 
     /// Voxels that a block of a roof lays of it at least.
@@ -131,13 +137,15 @@ impl<'a> Press<'_, 'a> {
             let in_vain = if gained == 0 { in_vain + 1 } else { 0 };
             if in_vain < MOST_IN_VAIN {
                 let still = body.and(&self.printing.unreached);
-                roofs.extend(self.roofs(&still, up, (from + HIGHER_MM, in_vain)));
+                roofs.extend(self.roofs(&still, up, (from + HIGHER_MM, in_vain), |_| true));
             }
         }
         let (left, fixed) = (self.printing.unreached.clone(), self.fixed());
         let all = left.or(&rest);
         let last = lay_on_supports(&self.fine(&all, &fixed), way, on);
-        self.take(last, left, fixed);
+        if !last.region.is_empty() {
+            self.take(last, left, fixed);
+        }
         Ok(())
     }
 
@@ -253,11 +261,14 @@ mod tests {
         (18..42).contains(&x) && (14..30).contains(&y) && (10..20).contains(&z)
     }
 
-    fn boxed() -> Job {
+    /// The box, so many layers high and with walls so thick.
+    fn boxed(height: usize, wall: usize) -> Job {
         let frame = Frame { pitch: 0.5, dims: DIMS, origin: DVec3::ZERO };
         let plate = |[x, y, z]: [usize; 3]| (6..54).contains(&x) && (6..38).contains(&y) && z < 6;
-        let around =
-            |[x, y, z]: [usize; 3]| (10..50).contains(&x) && (8..36).contains(&y) && z < 30;
+        let around = |[x, y, z]: [usize; 3]| {
+            let is_within = (18 - wall..42 + wall).contains(&x);
+            is_within && (14 - wall..30 + wall).contains(&y) && z < height
+        };
         let initial = BitGrid::from_fn(DIMS, plate);
         let target = BitGrid::from_fn(DIMS, |v| plate(v) || around(v) && !chamber(v));
         job_of(frame, initial, target, |t| t.taken <= Taken::LastResort)
@@ -283,12 +294,22 @@ mod tests {
 
     #[test]
     fn a_level_roof_over_a_chamber_grows_out_of_its_walls() {
-        let job = boxed();
+        let job = boxed(30, 8);
         let printing = printed(&job);
         assert_eq!(printing.unreached.count(), 0);
         assert!(printing.state.is_subset_of(&job.target));
         let leans = |d: Direction| d.vec().z > 0.1 && d.vec().z < 0.99;
         assert!(printing.steps.iter().any(|s| leans(s.direction)));
+        assert_verifies(&job, printing.steps);
+    }
+
+    /// Where all that lies over the chamber leans, nothing is left for a block straight up.
+    #[test]
+    fn no_block_is_empty_where_the_roof_is_the_top() {
+        let job = boxed(24, 4);
+        let printing = printed(&job);
+        assert_eq!(printing.unreached.count(), 0);
+        assert!(printing.steps.iter().all(|s| !s.region.is_empty()));
         assert_verifies(&job, printing.steps);
     }
 
