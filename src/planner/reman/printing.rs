@@ -7,7 +7,8 @@
 //! lies over a plane across the direction of a later block. All else is printed first, and that
 //! block then begins on a clean plane with nothing over it. Or all goes along the axes first
 //! (`print_along_axes`). Blocks have a least size, since a change of direction for a crumb helps nobody; but where crumbs
-//! are all that is missing in the end, they get blocks as small as they are (`print_crumbs`).
+//! are all that is missing in the end, they get blocks as small as they are (`print_crumbs`). On supports, roofs
+//! over pockets that are to have none come in their turn (`roofs`).
 //!
 //! Guarantees: each block's voxels are carried, clear and connected when they are laid. Not
 //! guaranteed: that every voxel finds its turn; what no block reaches is returned.
@@ -311,15 +312,7 @@ pub fn print_in_order(
     for (way, region) in order {
         ctx.check()?;
         due.union_with(region);
-        let Some(tool) = setting.nozzles().iter().find(|t| t.name == way.tool.name) else {
-            continue;
-        };
-        let fixed = press.fixed();
-        let left = due.and(&press.printing.unreached);
-        let block = press.fine(&left, &fixed).lay(Way { tool, ..*way });
-        if block.gain > 0 {
-            press.put(block, fixed);
-        }
+        press.print_one(way, &due);
         press.print_scarcest(&due, ctx)?;
     }
     press.print_among(wanted.added, ctx)?;
@@ -362,15 +355,7 @@ pub fn print_each(
     (press.printing, press.closely) = (before.clone(), true);
     for (way, region) in blocks {
         ctx.check()?;
-        let Some(tool) = setting.nozzles().iter().find(|t| t.name == way.tool.name) else {
-            continue;
-        };
-        let fixed = press.fixed();
-        let left = region.and(&press.printing.unreached);
-        let block = press.fine(&left, &fixed).lay(Way { tool, ..*way });
-        if block.gain > 0 {
-            press.put(block, fixed);
-        }
+        press.print_one(way, region);
     }
     Ok(press.printing)
 }
@@ -530,6 +515,19 @@ impl<'a> Press<'_, 'a> {
             let Some(block) = fine.best(&fine.clearest(ways, 1, ctx)?, ctx)? else { return Ok(()) };
             let block = fine.with_shorter(block, self.shorter);
             self.take(block, left, fixed);
+        }
+    }
+
+    /// What one way lays of some of what is wanted, if any of that counts; with the setting's own nozzle of that name.
+    fn print_one(&mut self, way: &Way, some: &BitGrid) {
+        let Some(tool) = self.setting.nozzles().iter().find(|t| t.name == way.tool.name) else {
+            return;
+        };
+        let fixed = self.fixed();
+        let left = some.and(&self.printing.unreached);
+        let block = self.fine(&left, &fixed).lay(Way { tool, ..*way });
+        if block.gain > 0 {
+            self.put(block, fixed);
         }
     }
 
