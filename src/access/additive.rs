@@ -12,6 +12,8 @@ use rayon::prelude::*;
 #[derive(Clone, Debug)]
 pub struct CarrierTable {
     direct: Vec<[i64; 3]>,
+    /// The same as bits of [`BitGrid::around`].
+    direct_bits: u32,
     /// (first, second) offsets of a chain.
     chains: Vec<([i64; 3], [i64; 3])>,
 }
@@ -49,14 +51,21 @@ impl CarrierTable {
                 }
             }
         }
-        CarrierTable { direct, chains }
+        let direct_bits = direct.iter().map(bit).fold(0, |all, b| all | b);
+        CarrierTable { direct, direct_bits, chains }
     }
 
     /// Whether `solid` carries the voxel.
     pub fn carries(&self, solid: &BitGrid, voxel: [usize; 3]) -> bool {
+        self.carries_among(solid.around(voxel), solid, voxel)
+    }
+
+    /// The same where it is known what of the solid is around the voxel: see [`BitGrid::around`].
+    pub fn carries_among(&self, around: u32, solid: &BitGrid, voxel: [usize; 3]) -> bool {
         let p = voxel.map(|c| c as i64);
         let at = |o: &[i64; 3]| solid.get_or_empty([p[0] + o[0], p[1] + o[1], p[2] + o[2]]);
-        self.direct.iter().any(at) || self.chains.iter().any(|(a, b)| at(a) && at(b))
+        let is_chain = |(a, b): &([i64; 3], [i64; 3])| around & bit(a) != 0 && at(b);
+        around & self.direct_bits != 0 || self.chains.iter().any(is_chain)
     }
 
     /// The places within the grid at which one voxel would carry this one, the straightest first.
@@ -78,6 +87,11 @@ impl CarrierTable {
             .iter()
             .filter_map(move |(a, b)| Some([moved(voxel, *a, dims)?, moved(voxel, *b, dims)?]))
     }
+}
+
+/// The bit of an offset to a neighbour in [`BitGrid::around`].
+fn bit(o: &[i64; 3]) -> u32 {
+    1 << ((o[0] + 1) + 3 * (o[1] + 1) + 9 * (o[2] + 1))
 }
 
 /// A voxel moved by an offset, where that stays within the grid.
@@ -142,6 +156,32 @@ mod tests {
             solid.set(chain[1], true);
             assert!(table.carries(&solid, v), "{chain:?}");
         }
+    }
+
+    /// Random solids, and carriers looked for one by one.
+    #[test]
+    fn a_look_at_all_that_is_around_finds_the_carriers_that_are_there() {
+        use rand::RngExt as _;
+        let mut rng = crate::base::rng(11, 0);
+        let (dims, mut carried) = ([7, 6, 5], 0);
+        for i in 0..200 {
+            let share = [0.02, 0.1, 0.3][i % 3];
+            let mut solid = BitGrid::new(dims);
+            for k in 0..7 * 6 * 5 {
+                solid.set([k % 7, k / 7 % 6, k / 42], rng.random_range(0.0..1.0) < share);
+            }
+            let d = DVec3::from_array([0; 3].map(|_: i32| rng.random_range(-1.0..1.0)));
+            let table = CarrierTable::new(Direction::new(d).unwrap(), 50.0);
+            for k in 0..7 * 6 * 5 {
+                let v = [k % 7, k / 7 % 6, k / 42];
+                let alone = table.under(v, dims).any(|u| solid.get(u));
+                let both = |chain: [[usize; 3]; 2]| chain.iter().all(|u| solid.get(*u));
+                let want = alone || table.chains_under(v, dims).any(both);
+                assert_eq!(table.carries(&solid, v), want, "{v:?}");
+                carried += usize::from(want);
+            }
+        }
+        assert!(carried > 1000 && carried < 40_000, "{carried}");
     }
 
     #[test]

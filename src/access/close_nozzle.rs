@@ -87,11 +87,20 @@ impl<'a> CloseNozzle<'a> {
             return Vec::new();
         }
         let boxes = self.boxes.get_or_init(|| Boxes::new(frame, self.solid));
+        // What one nozzle meets the next one, beside it, mostly meets as well.
+        let mut met: Option<DVec3> = None;
         open.retain(|(_, tip)| {
+            if met.is_some_and(|o| is_met(o - *tip)) {
+                return false;
+            }
             let may = |centre: DVec3, within: f64| may_meet(centre - *tip, within);
-            let each = &mut |v| match is_met(frame.center(v) - *tip) {
-                true => ControlFlow::Break(()),
-                false => ControlFlow::Continue(()),
+            let each = &mut |v| {
+                let at = frame.center(v);
+                if !is_met(at - *tip) {
+                    return ControlFlow::Continue(());
+                }
+                met = Some(at);
+                ControlFlow::Break(())
             };
             boxes.visit(&may, each).is_continue()
         });

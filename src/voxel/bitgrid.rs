@@ -179,6 +179,29 @@ impl BitGrid {
         inside && self.get(p.map(|c| c as usize))
     }
 
+    /// Which of the 27 places around a voxel, its own among them, are solid: the one at offset (i, j, k) is bit
+    /// (i + 1) + 3 (j + 1) + 9 (k + 1). None outside the grid is.
+    pub fn around(&self, [x, y, z]: [usize; 3]) -> u32 {
+        let (word, bit) = (x / 64, x % 64);
+        let mut around = 0;
+        for k in 0..3 {
+            for j in 0..3 {
+                let [y, z] = [(y + j).wrapping_sub(1), (z + k).wrapping_sub(1)];
+                if y >= self.dims[1] || z >= self.dims[2] {
+                    continue;
+                }
+                let row = self.row(y, z);
+                let three = match bit {
+                    0 => row[word] << 1 | word.checked_sub(1).map_or(0, |w| row[w] >> 63),
+                    63 => row[word] >> 62 | row.get(word + 1).map_or(0, |w| w << 2),
+                    _ => row[word] >> (bit - 1),
+                };
+                around |= ((three & 7) as u32) << (3 * j + 9 * k);
+            }
+        }
+        around
+    }
+
     pub fn set(&mut self, [x, y, z]: [usize; 3], solid: bool) {
         debug_assert!(x < self.dims[0]);
         let i = self.stored(self.row_start(y, z) + x / 64);
@@ -469,6 +492,20 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn what_is_around_a_voxel_is_what_stands_at_each_place(g in grid()) {
+            let [nx, ny, nz] = g.dims();
+            for i in 0..nx * ny * nz {
+                let v = [i % nx, i / nx % ny, i / nx / ny];
+                let at = |b: u32| {
+                    let o = [b % 3, b / 3 % 3, b / 9];
+                    g.get_or_empty(std::array::from_fn(|a| v[a] as i64 + i64::from(o[a]) - 1))
+                };
+                let want = (0..27).filter(|b| at(*b)).fold(0, |all, b| all | 1 << b);
+                prop_assert_eq!(g.around(v), want);
+            }
+        }
+
         #[test]
         fn runs_and_ones_tell_the_same_story(g in grid()) {
             let mut again = BitGrid::new(g.dims());

@@ -15,7 +15,7 @@ use crate::plan::Job;
 use crate::region::steady;
 use crate::voxel::{BitGrid, Connectivity, Frame, flood};
 use rayon::prelude::*;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 
 /// A shorter nozzle is taken when it prints this share of what the longest prints.
 const SHORTER_TOOL_SHARE: f64 = 0.97;
@@ -257,14 +257,18 @@ impl Layer<'_> {
         let mut region = BitGrid::new(self.state.dims());
         let plate = if way.on_base() { base_layer(&job.frame) } else { None };
         // Carried, but touching nothing by a face or an edge until a neighbour beside it is laid.
-        let mut waiting: BTreeSet<[usize; 3]> = BTreeSet::new();
+        let mut waiting = BitGrid::new(self.state.dims());
+        let mut any_wait = false;
         for (v, _) in voxels {
             if plate != Some(v[2]) {
-                if !table.carries(&solid, v) {
+                let around = solid.around(v);
+                if !table.carries_among(around, &solid, v) {
                     continue;
                 }
-                if !joined(&solid, v) {
-                    waiting.insert(v);
+                // A carrier alone may touch at a corner only, and what hangs by a corner is not connected.
+                if around & JOINTS == 0 {
+                    waiting.set(v, true);
+                    any_wait = true;
                     continue;
                 }
             }
@@ -272,8 +276,10 @@ impl Layer<'_> {
             while let Some(v) = laid.pop() {
                 solid.set(v, true);
                 region.set(v, true);
-                if !waiting.is_empty() {
-                    laid.extend(joints(v, solid.dims()).filter(|q| waiting.remove(q)));
+                if any_wait && waiting.around(v) & JOINTS != 0 {
+                    let due: Vec<_> = joints(v, solid.dims()).filter(|q| waiting.get(*q)).collect();
+                    due.iter().for_each(|q| waiting.set(*q, false));
+                    laid.extend(due);
                 }
             }
         }
@@ -294,7 +300,20 @@ impl Layer<'_> {
     }
 }
 
-/// Face and edge neighbours within the grid.
+/// Face and edge neighbours as bits of [`BitGrid::around`].
+const JOINTS: u32 = {
+    let (mut bits, mut i) = (0, 0);
+    while i < 27 {
+        let far = (i % 3 != 1) as u8 + (i / 3 % 3 != 1) as u8 + (i / 9 != 1) as u8;
+        if far == 1 || far == 2 {
+            bits |= 1 << i;
+        }
+        i += 1;
+    }
+    bits
+};
+
+/// The same within the grid.
 fn joints(v: [usize; 3], dims: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
     (0..27usize).filter_map(move |i| {
         let o = [i % 3, i / 3 % 3, i / 9];
@@ -311,13 +330,7 @@ fn descending(counts: &[usize]) -> Vec<usize> {
     order
 }
 
-/// Whether a voxel has a solid face or edge neighbour: a carrier alone may touch at a corner only,
-/// and what hangs by a corner is not connected.
-fn joined(solid: &BitGrid, v: [usize; 3]) -> bool {
-    joints(v, solid.dims()).any(|q| solid.get(q))
-}
-
-/// The same, by a neighbour that lies no higher along a direction, and so is laid no later.
+/// Whether a voxel has a solid face or edge neighbour that lies no higher along a direction, and so is laid no later.
 pub fn joined_from_below(solid: &BitGrid, v: [usize; 3], up: Direction) -> bool {
     let rise = |q: [usize; 3]| {
         let step: [f64; 3] = std::array::from_fn(|a| q[a] as f64 - v[a] as f64);
@@ -331,6 +344,13 @@ pub fn joined_from_below(solid: &BitGrid, v: [usize; 3], up: Direction) -> bool 
 mod tests {
     use super::super::local_tests::job_of;
     use super::*;
+
+    #[test]
+    fn joints_are_the_same_as_bits() {
+        let bit = |q: [usize; 3]| 1 << (q[0] + 3 * q[1] + 9 * q[2]);
+        let all = joints([1, 1, 1], [3, 3, 3]).map(bit).fold(0u32, |all, b| all | b);
+        assert_eq!((all, all.count_ones()), (JOINTS, 18));
+    }
 
     /// A layer on a plate, printed along any of three ways, and less of it under a roof, along one.
     #[test]
