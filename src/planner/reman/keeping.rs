@@ -14,7 +14,7 @@
 //! what can be kept is found, or found in few blocks and holdings.
 
 use super::fewest::with_fewest_cuts;
-use super::last_resort::{FEW_BELOW, UnderPlanes, closely_cut, cut_first};
+use super::last_resort::{FEW_BELOW, UnderPlanes, closely_cut, cut_first, with_missing_opened};
 use super::locals::is_complete;
 use super::pits::with_pits;
 use super::printed_first::{on_coarse_grid, printed_first};
@@ -148,7 +148,10 @@ fn all_kept(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
     let under = UnderPlanes::of(start.setting.job, Vec::new());
     let made = closely_cut(run, &under, made)?;
     run.clock.lap("blocks");
-    Ok(Some(made))
+    match printing {
+        Printed::OnSupports => with_missing_opened(run, made).map(Some),
+        Printed::AsItStands => Ok(Some(made)),
+    }
 }
 
 /// How is printed what is missing once all is cut.

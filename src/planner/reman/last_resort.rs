@@ -15,6 +15,8 @@
 //! Guarantees: those of cuts and deposits. A plan is made this way only if it ranks higher and
 //! leaves less. Not guaranteed: that nothing is left.
 
+mod opened;
+
 use super::clip::Clip;
 use super::cutting::{Cuts, cut_blocks};
 use super::laying::{Layer, ways_along};
@@ -31,14 +33,17 @@ use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
 use crate::region::Volumes;
 use crate::voxel::{BitGrid, distance_within};
+use opened::opened_first;
+pub use opened::with_missing_opened;
 
 /// How often all is tried again without the supports that the cutters left, and with what was missing
 /// printed first: each time costs as much as the first, and the third leaves few.
 const AGAIN: usize = 5;
 
-/// So often in a row a round may leave more than the one before it: on the cow one did before the last
+/// So often in a row a round may leave hardly less than the one before it, or more: on the cow one did before the last
 /// left nothing, on a bracket all five did.
 const MOST_RISES: usize = 2;
+const HARDLY_LESS: f64 = 0.95;
 
 /// Up to so many voxels that are open only below, by a coarse look, are cut for all the same: from a cow's belly
 /// ten cuts from the sides took all of 19.
@@ -67,9 +72,23 @@ pub const NEAR_STUCK: f64 = 4.0;
 const SLIM_NEAR: f64 = 10.0;
 
 /// What stands when the first deposit is made, and the cuts that leave it.
+#[derive(Clone)]
 struct Stock {
     cuts: Vec<Step>,
     state: BitGrid,
+}
+
+/// What a plan begins with, and what its rounds learned.
+struct Grounds {
+    stock: Stock,
+    care: Care,
+}
+
+impl Grounds {
+    /// Those of a plan in one round.
+    fn of(plain: &Attempt, job: &Job) -> Grounds {
+        Grounds { stock: finished_stock(plain), care: Care::none(job) }
+    }
 }
 
 /// Planes, and the volumes under them.
@@ -98,24 +117,29 @@ pub fn last_resort(
     let known = on_supports.filter(|o| o.clips == plain.clips);
     let (clips, volumes) = (plain.clips.clone(), plain.volumes.clone());
     let under = UnderPlanes { clips, volumes };
-    let best = match plain.prints_anything() {
+    let (best, grounds) = match plain.prints_anything() {
         true => resorted(run, &under, plain, known)?,
-        false => plain,
+        false => {
+            let grounds = Grounds::of(&plain, run.start.setting.job);
+            (plain, grounds)
+        }
     };
     // Close cuts are many and small. Where anything is printed, other supports may do without.
-    closely_cut(run, &under, best)
+    let best = closely_cut(run, &under, best)?;
+    opened_first(run, under, grounds, best)
 }
 
-/// The best of an attempt and what all tools make of its planes.
+/// The best of an attempt and what all tools make of its planes, and what it begins with.
 fn resorted(
     run: &mut Run,
     under: &UnderPlanes,
     mut best: Attempt,
     mut known: Option<Attempt>,
-) -> Result<Attempt, PlanError> {
+) -> Result<(Attempt, Grounds), PlanError> {
     let setting = &run.start.setting.with_last_resort();
     let start = run.start.in_setting(setting);
     let finished = &finished_stock(&best);
+    let mut grounds = Grounds::of(&best, setting.job);
     // Slimmer nozzles rarely lay what hangs in the open.
     let hangs =
         run.options.supports && start.mostly_hangs(&finished.state, &best.deficit, run.ctx)?;
@@ -130,25 +154,35 @@ fn resorted(
             continue;
         }
         let how = (run.options, run.ctx);
-        let made = match (waits, known.take()) {
-            (true, Some(known)) => is_better(&known, &best, setting.job).then_some(known),
+        let mut care = Care::none(setting.job);
+        let (made, stock) = match (waits, known.take()) {
+            (true, Some(known)) => (is_better(&known, &best, setting.job).then_some(known), None),
             (true, None) => {
                 let stock = start.stock_under_planes(under, run.options, run.ctx)?;
-                rounds(&start, (under, &stock), supports, Some(&best), how)?
+                let than = Some(&best);
+                (rounds(&start, (under, &stock), (supports, &mut care), than, how)?, Some(stock))
             }
-            (false, _) => rounds(&start, (under, finished), supports, Some(&best), how)?,
+            (false, _) => {
+                let than = Some(&best);
+                let made = rounds(&start, (under, finished), (supports, &mut care), than, how)?;
+                (made, Some(finished.clone()))
+            }
         };
         run.clock.lap("blocks");
-        best = made.unwrap_or(best);
+        if let Some(made) = made {
+            best = made;
+            let stock = stock.unwrap_or_else(|| finished_stock(&best));
+            grounds = Grounds { stock, care };
+        }
         // A tip that close cuts take is no reason to plan all anew.
         if best.deficit.is_empty() && best.excess.count() <= TIP_VOXELS {
             let closely = closely_cut(run, under, best.clone())?;
             if closely.left() == 0 {
-                return Ok(closely);
+                return Ok((closely, grounds));
             }
         }
     }
-    Ok(best)
+    Ok((best, grounds))
 }
 
 /// An attempt and, after all its steps, cuts of what it leaves standing by all tools and exact distances,
@@ -182,7 +216,8 @@ pub fn on_supports(
     ctx: &Ctx,
 ) -> Result<Attempt, PlanError> {
     let stock = start.stock_under_planes(under, options, ctx)?;
-    let made = rounds(start, (under, &stock), true, None, (options, ctx))?;
+    let mut care = Care::none(start.setting.job);
+    let made = rounds(start, (under, &stock), (true, &mut care), None, (options, ctx))?;
     made.ok_or(PlanError::Cancelled)
 }
 
@@ -206,9 +241,8 @@ pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt,
     if !few_stand || ctx.out_of_time() || !care.learn(start, &made, options, ctx)? {
         return Ok(made);
     }
-    let before = made.cuts_after(stock.cuts.len());
     let with = (Some(care.of_supports()), Patience::Endless);
-    let again = start.finished(&under, &stock, with, &before, options, ctx)?;
+    let again = start.finished(&under, &stock, with, &care.before, options, ctx)?;
     let stand = |a: &Attempt| (a.excess.count(), a.deficit.count());
     Ok(again.filter(|a| stand(a) < stand(&made)).unwrap_or(made))
 }
@@ -218,14 +252,12 @@ pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt,
 fn rounds(
     start: &Start,
     (under, stock): (&UnderPlanes, &Stock),
-    supports: bool,
+    (supports, care): (bool, &mut Care),
     than: Option<&Attempt>,
     (options, ctx): (&Options, &Ctx),
 ) -> Result<Option<Attempt>, PlanError> {
     let job = start.setting.job;
     let mut better: Option<Attempt> = None;
-    let mut care = Care::none(job);
-    let mut before = Vec::new();
     // How much the rounds before left, and how often in a row one left more than the one before it.
     let (mut left, mut rises) = (usize::MAX, 0);
     for round in 0..=AGAIN {
@@ -233,18 +265,17 @@ fn rounds(
         let best = better.as_ref().or(than);
         let patience = best.map_or(Patience::Endless, |b| Patience::UpTo(b.left()));
         let with = (on, patience);
-        let Some(made) = start.finished(under, stock, with, &before, options, ctx)? else {
+        let Some(made) = start.finished(under, stock, with, &care.before, options, ctx)? else {
             tracing::debug!(supports, "last resort given up");
             break;
         };
         tracing::debug!(supports, "last resort");
         made.tell("last resort", round);
         let is_worse = best.is_some_and(|b| made.left() > b.left()) && !few_crumbs(&made, job);
-        rises = if made.left() > left { rises + 1 } else { 0 };
+        rises = if made.left() as f64 > HARDLY_LESS * left as f64 { rises + 1 } else { 0 };
         left = made.left();
         let ends = !supports || is_worse || rises == MOST_RISES || ctx.out_of_time();
         let again = !ends && care.learn(start, &made, options, ctx)?;
-        before = made.cuts_after(stock.cuts.len());
         if best.is_none_or(|b| is_better(&made, b, job)) {
             better = Some(made);
         }
@@ -273,16 +304,18 @@ struct Care {
     slim: BitGrid,
     /// This is printed ahead of all else.
     ahead: BitGrid,
+    /// Cuts of the last round, made first as far as they still remove anything.
+    before: Vec<Step>,
 }
 
 impl Care {
     fn none(job: &Job) -> Care {
         let none = BitGrid::new(job.frame.dims);
-        Care { avoided: none.clone(), slim: none.clone(), ahead: none }
+        Care { avoided: none.clone(), slim: none.clone(), ahead: none, before: Vec::new() }
     }
 
     fn of_supports(&self) -> OnSupports<'_> {
-        let Care { avoided, slim, ahead } = self;
+        let Care { avoided, slim, ahead, .. } = self;
         OnSupports { direction: Direction::Z, avoided, slim, ahead }
     }
 
@@ -295,6 +328,7 @@ impl Care {
         ctx: &Ctx,
     ) -> Result<bool, PlanError> {
         let job = start.setting.job;
+        self.before = made.cuts_after();
         // A support in a pocket that is open only below stands for good.
         let stuck = made.excess.and(&made.printed_aside(job));
         let near = distance_within(&stuck, NEAR_STUCK).minus(&job.target);
@@ -329,9 +363,9 @@ impl Attempt {
     }
 
     /// Its cuts, those that are no longer of the stock alone.
-    fn cuts_after(&self, stock_cuts: usize) -> Vec<Step> {
+    fn cuts_after(&self) -> Vec<Step> {
         let cuts = self.steps.iter().filter(|s| s.kind == StepKind::Subtractive);
-        cuts.skip(stock_cuts).cloned().collect()
+        cuts.skip(self.cuts).cloned().collect()
     }
 
     /// Deposits outside the target.

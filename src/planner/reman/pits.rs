@@ -31,8 +31,9 @@
 //! the smallest, or their order the best.
 
 use super::aside::on_supports_and_cut;
+use super::coarse::Coarse;
 use super::cone::{Brick, Cone};
-use super::cutting::cut_along;
+use super::cutting::{Cutting, cut_along};
 use super::laying::{Way, ways_along};
 use super::patches::{Patch, carried_later, patches};
 use super::printing::{Patience, Wanted, leaves_none, print_blocks, print_crumbs};
@@ -40,11 +41,11 @@ use super::round::Attempt;
 use super::setting::Setting;
 use super::{Options, Run, Start, followed};
 use crate::access::CarrierTable;
-use crate::base::{Ctx, DVec2, DVec3, Direction};
+use crate::base::{Cancelled, Ctx, DVec2, DVec3, Direction};
 use crate::plan::Job;
 use crate::planner::PlanError;
 use crate::region::Volumes;
-use crate::voxel::{BitGrid, Connectivity, components, flood};
+use crate::voxel::{BitGrid, Connectivity, Frame, components, flood};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -521,53 +522,9 @@ impl<'s, 'a> Digging<'s, 'a> {
 
     /// What stands over some voxels within their cones.
     fn pit(&self, over: &[[usize; 3]], d: Direction, opening: f64) -> BitGrid {
-        let state = &self.state;
-        let job = self.start.setting.job;
-        let (frame, plane) = (&job.frame, d.image_plane());
-        let h = frame.pitch;
+        let frame = &self.start.setting.job.frame;
         let tip = self.ways.first().map_or(0.0, |w| w.tool.tip_radius());
-        let room = tip + h / 2.0;
-        let mut pit = BitGrid::new(frame.dims);
-        let Some((low, high)) = state.extent() else { return pit };
-        // The box of the state across the direction.
-        let corner = |k: usize| {
-            let pick = |a: usize| if k >> a & 1 == 0 { low[a] } else { high[a] };
-            plane.across(frame.center([pick(0), pick(1), pick(2)]))
-        };
-        let (lo, hi) = (0..8)
-            .map(corner)
-            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
-        let n = ((hi - lo) / h).ceil() + DVec2::ONE;
-        let (nu, nv) = (n.x as usize, n.y as usize);
-        // Of those over each other the lowest alone counts.
-        let mut lowest: BTreeMap<[i64; 2], (DVec2, f64)> = BTreeMap::new();
-        for p in over.iter().map(|v| frame.center(*v)) {
-            let (uv, height) = (plane.across(p), plane.height(p));
-            let cell = ((uv - lo) / h).round();
-            let end = lowest.entry([cell.x as i64, cell.y as i64]).or_insert((uv, height));
-            end.1 = end.1.min(height);
-        }
-        let ends: Vec<(DVec2, f64)> = lowest.into_values().collect();
-        // Lowest height of the pit in each cell.
-        let mut floor = vec![f64::INFINITY; nu * nv];
-        floor.par_chunks_mut(nu).enumerate().for_each(|(j, row)| {
-            for (i, z) in row.iter_mut().enumerate() {
-                let at = lo + DVec2::new(i as f64, j as f64) * h;
-                for (uv, height) in &ends {
-                    let aside = (uv.distance(at) - room).max(0.0);
-                    *z = z.min(height + aside / opening);
-                }
-            }
-        });
-        for v in state.iter_ones() {
-            let p = frame.center(v);
-            let g = ((plane.across(p) - lo) / h).round().max(DVec2::ZERO);
-            let (i, j) = ((g.x as usize).min(nu - 1), (g.y as usize).min(nv - 1));
-            if plane.height(p) > floor[i + nu * j] - h / 4.0 {
-                pit.set(v, true);
-            }
-        }
-        pit
+        pit_over((&self.state, frame), over, d, cone(tip + frame.pitch / 2.0, opening))
     }
 
     /// The plan with a pit cut along a way, and with what is then missing there printed; none where
@@ -584,21 +541,8 @@ impl<'s, 'a> Digging<'s, 'a> {
         let Way { direction, holding, .. } = self.ways[way];
         let next_job = Job { initial: state.clone(), ..job.clone() };
         let next = setting.of_next_round(&next_job, setting.old_of(&now.volumes.reused));
-        // What stood within the tolerance of that which the pit takes has no skin to be part of any more.
-        let too_much = |stands: &BitGrid, kept: &BitGrid| {
-            setting.beyond_skin(&stands.minus(&job.target), kept)
-        };
-        let bare =
-            |pit: &BitGrid| too_much(state, &now.volumes.reused.minus(pit)).minus(&now.excess);
-        let along = (direction, holding);
-        let mut cutting = cut_along(&next, coarse, &pit.or(&bare(pit)), along, ctx)?;
-        let bared = too_much(&cutting.state, &now.volumes.reused.and(&cutting.state));
-        let stuck = bared.minus(&now.excess);
-        if !stuck.is_empty() {
-            // What is not cut with it stays skin where the pit leaves out what is near.
-            let pit = setting.beyond_skin(pit, &stuck);
-            cutting = cut_along(&next, coarse, &pit.or(&bare(&pit)), along, ctx)?;
-        }
+        let kept = (&now.volumes.reused, &now.excess);
+        let cutting = cut_with_skin(&next, coarse, (pit, kept), (direction, holding), ctx)?;
         let cut = state.minus(&cutting.state);
         let mut seeds = cut.clone();
         patches.iter().for_each(|v| seeds.set(*v, true));
@@ -635,9 +579,10 @@ impl<'s, 'a> Digging<'s, 'a> {
         let steps = followed(followed(now.steps.clone(), cutting.steps), printing.steps);
         let left = job.target.minus(&printing.state);
         let deficit = setting.beyond_skin(&left, &volumes.reused);
+        let over = printing.state.minus(&job.target);
         Ok(Some(Attempt {
             steps,
-            excess: too_much(&printing.state, &volumes.reused),
+            excess: setting.beyond_skin(&over, &volumes.reused),
             below: now.below.minus(&cut),
             deficit,
             volumes,
@@ -646,13 +591,95 @@ impl<'s, 'a> Digging<'s, 'a> {
     }
 }
 
+/// How high a cone rises at some distance aside, mm, that is so wide at its foot, mm, and gets so much wider for each mm up.
+pub fn cone(foot: f64, opening: f64) -> impl Fn(f64) -> f64 + Sync {
+    move |aside| (aside - foot).max(0.0) / opening
+}
+
+/// What of a state stands over some voxels along a direction: all that is no lower over one of them than `rise` says for how far
+/// aside it is, both in mm.
+pub fn pit_over(
+    (state, frame): (&BitGrid, &Frame),
+    over: &[[usize; 3]],
+    d: Direction,
+    rise: impl Fn(f64) -> f64 + Sync,
+) -> BitGrid {
+    let plane = d.image_plane();
+    let h = frame.pitch;
+    let mut pit = BitGrid::new(frame.dims);
+    let Some((low, high)) = state.extent() else { return pit };
+    // The box of the state across the direction.
+    let corner = |k: usize| {
+        let pick = |a: usize| if k >> a & 1 == 0 { low[a] } else { high[a] };
+        plane.across(frame.center([pick(0), pick(1), pick(2)]))
+    };
+    let (lo, hi) = (0..8)
+        .map(corner)
+        .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+    let n = ((hi - lo) / h).ceil() + DVec2::ONE;
+    let (nu, nv) = (n.x as usize, n.y as usize);
+    // Of those over each other the lowest alone counts.
+    let mut lowest: BTreeMap<[i64; 2], (DVec2, f64)> = BTreeMap::new();
+    for p in over.iter().map(|v| frame.center(*v)) {
+        let (uv, height) = (plane.across(p), plane.height(p));
+        let cell = ((uv - lo) / h).round();
+        let end = lowest.entry([cell.x as i64, cell.y as i64]).or_insert((uv, height));
+        end.1 = end.1.min(height);
+    }
+    let ends: Vec<(DVec2, f64)> = lowest.into_values().collect();
+    // Lowest height of the pit in each cell.
+    let mut floor = vec![f64::INFINITY; nu * nv];
+    floor.par_chunks_mut(nu).enumerate().for_each(|(j, row)| {
+        for (i, z) in row.iter_mut().enumerate() {
+            let at = lo + DVec2::new(i as f64, j as f64) * h;
+            for (uv, height) in &ends {
+                *z = z.min(height + rise(uv.distance(at)));
+            }
+        }
+    });
+    for v in state.iter_ones() {
+        let p = frame.center(v);
+        let g = ((plane.across(p) - lo) / h).round().max(DVec2::ZERO);
+        let (i, j) = ((g.x as usize).min(nu - 1), (g.y as usize).min(nv - 1));
+        if plane.height(p) > floor[i + nu * j] - h / 4.0 {
+            pit.set(v, true);
+        }
+    }
+    pit
+}
+
+/// A pit cut along a direction, as held, from the initial part of the setting's job, of which so much is kept before, and with it
+/// what stood within the tolerance of that which it takes: that has no skin to be part of any more. What was too much before
+/// may stay.
+pub fn cut_with_skin(
+    setting: &Setting,
+    coarse: &Coarse,
+    (pit, (kept, excess)): (&BitGrid, (&BitGrid, &BitGrid)),
+    along: (Direction, usize),
+    ctx: &Ctx,
+) -> Result<Cutting, Cancelled> {
+    let job = setting.job;
+    let state = &job.initial;
+    let too_much = |stands: &BitGrid, kept: &BitGrid| {
+        setting.beyond_skin(&stands.minus(&job.target), kept).minus(excess)
+    };
+    let bare = |pit: &BitGrid| too_much(state, &kept.minus(pit));
+    let cutting = cut_along(setting, coarse, &pit.or(&bare(pit)), along, ctx)?;
+    let stuck = too_much(&cutting.state, &kept.and(&cutting.state));
+    if stuck.is_empty() {
+        return Ok(cutting);
+    }
+    // What is not cut with it stays skin where the pit leaves out what is near.
+    let pit = setting.beyond_skin(pit, &stuck);
+    cut_along(setting, coarse, &pit.or(&bare(&pit)), along, ctx)
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::local_tests::{assert_verifies, job_of, with_run};
     use super::super::round::{Mending, attempt};
     use super::*;
     use crate::plan::{Plan, end_state};
-    use crate::voxel::Frame;
 
     const DIMS: [usize; 3] = [46, 40, 30];
 

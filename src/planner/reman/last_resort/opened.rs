@@ -1,0 +1,280 @@
+//! What no tool gets at beside that which is kept is opened before anything is printed.
+//!
+//! Method. (1) Over what a plan misses the longest nozzle is let down from straight above; what the stock keeps in its way, and
+//! what is a voxel from it, is cut: what a plane would give up (W2V Sec. 4.2), but for all that is in nobody's way. Over stock that no cutter gets at a cone is cut. (2) All of these pits are one cut of the stock; then all is
+//! printed as before, with what they gave up, on supports that stand nowhere near stock that was left. In `pits` the cones go
+//! through what was printed as well: where that stands on supports, it cannot be made again without them.
+//!
+//! Where all was cut before anything is printed this is done as long as it is worth what it gives up; elsewhere where the pits may
+//! leave nothing at all.
+//!
+//! Guarantees: those of cuts and deposits; of what is kept at most a share of the target is given up at a time, and taken is what
+//! ranks no lower, or loses less, and leaves less. Not guaranteed: that less is left, or that less could not be given up.
+
+use super::*;
+use crate::machine::Section;
+use crate::planner::reman::pits::{cone, cut_with_skin, pit_over};
+use crate::planner::reman::round::COMPLETION_SHARE;
+use crate::voxel::{Connectivity, components};
+
+/// How much wider pits get for each mm up, those that are made first, and those over what these leave, a round or two for
+/// each: a needle nozzle widens by .36, one that leans to close a roof is in the way of all that stands steeper than it.
+const OPENINGS: [f64; 2] = [0.6, 2.1];
+
+/// So often what is missing then is opened as well, where all is printed on what was cut before: on a bracket the first time
+/// left a fiftieth of it, and each after that half.
+const MOST_OPENED: usize = 8;
+
+/// The best of an attempt on supports and of those that have the stock opened over what it leaves.
+pub(super) fn opened_first(
+    run: &mut Run,
+    mut under: UnderPlanes,
+    mut grounds: Grounds,
+    mut best: Attempt,
+) -> Result<Attempt, PlanError> {
+    let setting = run.start.setting.with_last_resort();
+    let start = run.start.in_setting(&setting);
+    let job = setting.job;
+    let mut now = best.clone();
+    for (round, opening) in OPENINGS.into_iter().enumerate() {
+        let is_little = now.left() as f64 <= MOST_AHEAD * job.target.count() as f64;
+        if now.left() == 0 || !is_little || run.ctx.out_of_time() {
+            break;
+        }
+        let Some(pit) = start.over_all(&under, &grounds.stock, &now, opening) else { break };
+        let parts = (&under, &grounds.stock);
+        let Some((opened, stock)) = start.cut_open(parts, &pit, run.ctx)? else { break };
+        let near = distance_within(&now.excess, NEAR_STUCK).minus(&job.target);
+        grounds.care.avoided.union_with(&near);
+        // Printed ahead, what pits open is in the way of what lies beside it.
+        let opened_up = distance_within(&now.deficit, 2.0 * AHEAD_MM / job.frame.pitch);
+        grounds.care.ahead.subtract(&opened_up);
+        let how = (run.options, run.ctx);
+        let with = (run.options.supports, &mut grounds.care);
+        let Some(made) = rounds(&start, (&opened, &stock), with, None, how)? else { break };
+        let made = closely_cut(run, &opened, made)?;
+        made.tell("opened first", round);
+        let is_less = made.left() < now.left();
+        if is_better(&made, &best, job) {
+            best = made.clone();
+        }
+        if !is_less {
+            break;
+        }
+        (under, grounds.stock, now) = (opened, stock, made);
+    }
+    run.clock.lap("blocks");
+    Ok(best)
+}
+
+/// What comes of an attempt that cut first and then printed on supports when the stock is opened over what it misses, and
+/// again over what it then misses, as long as that is worth what it gives up.
+pub fn with_missing_opened(run: &mut Run, mut best: Attempt) -> Result<Attempt, PlanError> {
+    let setting = run.start.setting.with_last_resort();
+    let start = run.start.in_setting(&setting);
+    let job = setting.job;
+    for round in 0..MOST_OPENED {
+        if best.deficit.is_empty() || run.ctx.out_of_time() {
+            break;
+        }
+        let Grounds { stock, care } = Grounds::of(&best, job);
+        let (clips, volumes) = (best.clips.clone(), best.volumes.clone());
+        let under = UnderPlanes { clips, volumes };
+        let Some(pit) = start.over_missing(&stock, &best.deficit) else { break };
+        let Some((under, stock)) = start.cut_open((&under, &stock), &pit, run.ctx)? else { break };
+        let with = (Some(care.of_supports()), Patience::Endless);
+        let before = best.cuts_after();
+        let opened = start.finished(&under, &stock, with, &before, run.options, run.ctx)?;
+        let Some(opened) = opened else { break };
+        let opened = closely_cut(run, &under, opened)?;
+        opened.tell("missing opened first", round);
+        if opened.left() >= best.left() || opened.loss(job) >= best.loss(job) {
+            break;
+        }
+        best = opened;
+    }
+    run.clock.lap("blocks");
+    Ok(best)
+}
+
+impl Start<'_> {
+    /// Pits over all that a plan leaves; none where nothing that is kept is in the way of some of it. What is missing
+    /// under that which is printed is no less so with pits, and only what leaves nothing is worth them.
+    fn over_all(
+        &self,
+        under: &UnderPlanes,
+        stock: &Stock,
+        made: &Attempt,
+        opening: f64,
+    ) -> Option<BitGrid> {
+        let (state, frame) = (&stock.state, &self.setting.job.frame);
+        let nozzle = self.setting.nozzles().last()?;
+        let wide = cone(nozzle.tip_radius() + frame.pitch / 2.0, opening);
+        let mut pit = BitGrid::new(state.dims());
+        let mut over = |left: &BitGrid, of: &dyn Fn(&BitGrid) -> Option<BitGrid>| {
+            let bodies = components(left, Connectivity::Corner26);
+            (0..bodies.count()).try_for_each(|label| {
+                let of_body = of(&bodies.grid_of(label as u32))?;
+                let in_the_way = of_body.count_and(&under.volumes.reused);
+                pit.union_with(&of_body);
+                (in_the_way > 0).then_some(())
+            })
+        };
+        over(&made.excess, &|body| {
+            let voxels: Vec<[usize; 3]> = body.iter_ones().collect();
+            Some(pit_over((state, frame), &voxels, Direction::Z, &wide))
+        })?;
+        over(&made.deficit, &|body| self.over_missing(stock, body))?;
+        Some(pit)
+    }
+
+    /// What of the stock the longest nozzle meets, and what is a voxel from it, when it comes straight down on what is missing.
+    fn over_missing(&self, stock: &Stock, missing: &BitGrid) -> Option<BitGrid> {
+        let frame = &self.setting.job.frame;
+        let nozzle = self.setting.nozzles().last()?;
+        let lower = |aside: f64| {
+            let of = |s: &Section| s.shape.lower_surface((aside - frame.pitch).max(0.0));
+            nozzle.sections.iter().map(of).fold(f64::INFINITY, f64::min)
+        };
+        let voxels: Vec<[usize; 3]> = missing.iter_ones().collect();
+        Some(pit_over((&stock.state, frame), &voxels, Direction::Z, lower))
+    }
+
+    /// The stock with a pit in it, and the volumes then; none where that gives nothing up, or too much.
+    fn cut_open(
+        &self,
+        (under, stock): (&UnderPlanes, &Stock),
+        pit: &BitGrid,
+        ctx: &Ctx,
+    ) -> Result<Option<(UnderPlanes, Stock)>, PlanError> {
+        let (setting, job) = (self.setting, self.setting.job);
+        let (state, kept) = (&stock.state, &under.volumes.reused);
+        let most = (COMPLETION_SHARE * job.target.count() as f64) as usize;
+        let given_up = pit.count_and(kept);
+        tracing::debug!(pit = pit.count(), given_up, most, "to be opened");
+        if !(1..=most).contains(&given_up) {
+            return Ok(None);
+        }
+        let next_job = Job { initial: state.clone(), ..job.clone() };
+        let next = setting.of_next_round(&next_job, setting.old_of(kept));
+        let excess = setting.beyond_skin(&state.minus(&job.target), kept);
+        let what = (pit, (kept, &excess));
+        let cutting = cut_with_skin(&next, self.coarse, what, (Direction::Z, 0), ctx)?;
+        let cut = state.minus(&cutting.state);
+        if cut.count_and(kept) == 0 {
+            return Ok(None);
+        }
+        let volumes = Volumes {
+            reused: kept.minus(&cut),
+            removed: under.volumes.removed.or(&cut),
+            added: under.volumes.added.or(&cut.and(&job.target)),
+        };
+        let cuts = followed(stock.cuts.clone(), cutting.steps);
+        let opened = UnderPlanes { clips: under.clips.clone(), volumes };
+        Ok(Some((opened, Stock { cuts, state: cutting.state })))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::local_tests::{assert_verifies, job_of, with_run};
+    use super::super::super::round::{Mending, attempt};
+    use super::*;
+    use crate::base::DVec3;
+    use crate::plan::{Plan, end_state};
+    use crate::voxel::Frame;
+
+    const DIMS: [usize; 3] = [70, 60, 40];
+
+    fn within([x, y, z]: [usize; 3], least: [usize; 3], end: [usize; 3]) -> bool {
+        let is_in = |v: usize, a: usize| (least[a]..end[a]).contains(&v);
+        is_in(x, 0) && is_in(y, 1) && is_in(z, 2)
+    }
+
+    /// A block that gets a cap, and a cavity under its top that nothing gets into.
+    fn job() -> Job {
+        let frame = Frame { pitch: 0.5, dims: DIMS, origin: DVec3::ZERO };
+        let block = |v| within(v, [3, 3, 0], [67, 57, 30]);
+        let cavity = |v| within(v, [40, 25, 22], [50, 35, 27]);
+        let cap = |v| within(v, [8, 8, 30], [24, 50, 36]);
+        let initial = BitGrid::from_fn(DIMS, block);
+        let target = BitGrid::from_fn(DIMS, |v| block(v) && !cavity(v) || cap(v));
+        job_of(frame, initial, target, |_| true)
+    }
+
+    /// With nothing given up, as a plan that ends so.
+    fn plain(run: &Run) -> Attempt {
+        let how = (run.options, Mending::None);
+        let (start, ctx) = (run.start, run.ctx);
+        attempt(start.setting, start.coarse, Vec::new(), &start.preferred, how, ctx).unwrap()
+    }
+
+    #[test]
+    fn stock_that_nothing_gets_at_is_opened_before_anything_is_printed() {
+        let job = job();
+        let (without, made) = with_run(&job, |run| {
+            let without = plain(run);
+            let made = last_resort(run, without.clone(), None).unwrap();
+            (without, made)
+        });
+        assert!(without.excess.count() > 10, "{}", without.excess.count());
+        assert_eq!(made.left(), 0, "{} {}", made.excess.count(), made.deficit.count());
+        let lost = without.volumes.reused.count() - made.volumes.reused.count();
+        assert!((100..1500).contains(&lost), "{lost}");
+        let plan = Plan { holdings: Vec::new(), steps: made.steps.clone() };
+        assert_eq!(end_state(&job, &plan).reused, made.volumes.reused);
+        assert_verifies(&job, made.steps);
+    }
+
+    /// Held against the definition, over a few voxels beside the block.
+    #[test]
+    fn what_a_nozzle_meets_straight_down_is_cut() {
+        let job = job();
+        let beside = [[1, 20, 2], [1, 21, 2], [30, 58, 9]];
+        let (pit, nozzle) = with_run(&job, |run| {
+            let stock = Stock { cuts: Vec::new(), state: job.initial.clone() };
+            let mut missing = BitGrid::new(DIMS);
+            beside.iter().for_each(|v| missing.set(*v, true));
+            let pit = run.start.over_missing(&stock, &missing).unwrap();
+            (pit, run.start.setting.nozzles().last().unwrap().clone())
+        });
+        let lower = |aside: f64| {
+            let of = nozzle.sections.iter().map(|s| s.shape.lower_surface(aside.max(0.0)));
+            of.fold(f64::INFINITY, f64::min)
+        };
+        let want = BitGrid::from_fn(DIMS, |v| {
+            let at = job.frame.center(v);
+            let meets = |tip: [usize; 3]| {
+                let from = at - job.frame.center(tip);
+                from.z > lower(from.truncate().length() - job.frame.pitch) - job.frame.pitch / 4.0
+            };
+            job.initial.get(v) && beside.into_iter().any(meets)
+        });
+        assert_eq!(pit, want);
+        assert!(pit.count() > 50, "{}", pit.count());
+    }
+
+    /// A wall so tall that the nozzle's head meets its top while the tip is a little beside its foot: the row there was missing.
+    #[test]
+    fn a_row_at_the_foot_of_a_tall_wall_is_printed_after_the_wall_s_top_is_cut() {
+        const DIMS: [usize; 3] = [60, 40, 64];
+        let frame = Frame { pitch: 0.5, dims: DIMS, origin: DVec3::ZERO };
+        let wall = |v| within(v, [10, 6, 0], [16, 34, 54]);
+        let foot = |v| within(v, [16, 6, 0], [30, 34, 3]);
+        let initial = BitGrid::from_fn(DIMS, wall);
+        let target = BitGrid::from_fn(DIMS, |v| wall(v) || foot(v));
+        let job = job_of(frame, initial, target, |_| true);
+        let (before, made) = with_run(&job, |run| {
+            let setting = run.start.setting.with_last_resort();
+            let start = run.start.in_setting(&setting);
+            let before = cut_first(&start, run.options, run.ctx).unwrap();
+            let made = with_missing_opened(run, before.clone()).unwrap();
+            (before, made)
+        });
+        assert!(before.deficit.count() > 0);
+        assert_eq!(made.left(), 0, "{} of {}", made.left(), before.left());
+        let lost = before.volumes.reused.count() - made.volumes.reused.count();
+        assert!(lost > 0 && lost < 10 * before.deficit.count(), "{lost}");
+        assert_verifies(&job, made.steps);
+    }
+}
