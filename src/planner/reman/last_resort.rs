@@ -248,7 +248,7 @@ pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt,
 }
 
 /// Deposits on a stock and cuts of what then stands outside the target, again and again while that
-/// may leave less; the best of them, if it is better than `than`.
+/// may leave less; the best of them, if it is better than `than`, which then leaves the care with which it was made.
 fn rounds(
     start: &Start,
     (under, stock): (&UnderPlanes, &Stock),
@@ -257,12 +257,12 @@ fn rounds(
     (options, ctx): (&Options, &Ctx),
 ) -> Result<Option<Attempt>, PlanError> {
     let job = start.setting.job;
-    let mut better: Option<Attempt> = None;
+    let mut better: Option<(Attempt, Care)> = None;
     // How much the rounds before left, and how often in a row one left more than the one before it.
     let (mut left, mut rises) = (usize::MAX, 0);
     for round in 0..=AGAIN {
         let on = supports.then_some(care.of_supports());
-        let best = better.as_ref().or(than);
+        let best = better.as_ref().map(|(made, _)| made).or(than);
         let patience = best.map_or(Patience::Endless, |b| Patience::UpTo(b.left()));
         let with = (on, patience);
         let Some(made) = start.finished(under, stock, with, &care.before, options, ctx)? else {
@@ -275,15 +275,20 @@ fn rounds(
         rises = if made.left() as f64 > HARDLY_LESS * left as f64 { rises + 1 } else { 0 };
         left = made.left();
         let ends = !supports || is_worse || rises == MOST_RISES || ctx.out_of_time();
+        let with_which = care.clone();
         let again = !ends && care.learn(start, &made, options, ctx)?;
         if best.is_none_or(|b| is_better(&made, b, job)) {
-            better = Some(made);
+            better = Some((made, with_which));
         }
         if !again {
             break;
         }
     }
-    Ok(better)
+    // What later rounds learned left more.
+    Ok(better.map(|(made, with_which)| {
+        *care = with_which;
+        made
+    }))
 }
 
 /// Whether one attempt ranks no lower than another and leaves less.
@@ -297,6 +302,7 @@ fn few_crumbs(made: &Attempt, job: &Job) -> bool {
 }
 
 /// What the rounds before tell the next one to heed.
+#[derive(Clone)]
 struct Care {
     /// No supports stand here.
     avoided: BitGrid,
