@@ -120,8 +120,7 @@ pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pl
 /// An attempt that gives nothing up, and the pits that open what it misses, giving up no more than `rival` keeps.
 fn opened(run: &mut Run, made: Attempt, rival: Option<usize>) -> Result<Attempt, PlanError> {
     let made = with_pits(run, made, rival)?;
-    let (clips, volumes) = (made.clips.clone(), made.volumes.clone());
-    let made = closely_cut(run, &UnderPlanes { clips, volumes }, made)?;
+    let made = closely_cut(run, &UnderPlanes::of_attempt(&made), made)?;
     made.tell("keeping more", 0);
     Ok(made)
 }

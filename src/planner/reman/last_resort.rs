@@ -43,6 +43,9 @@ const AGAIN: usize = 5;
 /// So often in a row a round may leave hardly less than the one before it, or more: on the cow one did before the last
 /// left nothing, on a bracket all five did.
 const MOST_RISES: usize = 2;
+
+/// Hardly less is more than this share of what the round before left: on a bracket such rounds took a fiftieth each at most,
+/// and as long as the first.
 const HARDLY_LESS: f64 = 0.95;
 
 /// Up to so many voxels that are open only below, by a coarse look, are cut for all the same: from a cow's belly
@@ -98,6 +101,11 @@ pub struct UnderPlanes {
 }
 
 impl UnderPlanes {
+    /// Those of an attempt, and what it makes of them.
+    pub fn of_attempt(made: &Attempt) -> Self {
+        UnderPlanes { clips: made.clips.clone(), volumes: made.volumes.clone() }
+    }
+
     pub fn of(job: &Job, clips: Vec<Clip>) -> Self {
         UnderPlanes { volumes: volumes(job, &clips), clips }
     }
@@ -115,8 +123,7 @@ pub fn last_resort(
     }
     run.resorted.push(plain.clips.clone());
     let known = on_supports.filter(|o| o.clips == plain.clips);
-    let (clips, volumes) = (plain.clips.clone(), plain.volumes.clone());
-    let under = UnderPlanes { clips, volumes };
+    let under = UnderPlanes::of_attempt(&plain);
     let (best, grounds) = match plain.prints_anything() {
         true => resorted(run, &under, plain, known)?,
         false => {
@@ -258,7 +265,7 @@ fn rounds(
 ) -> Result<Option<Attempt>, PlanError> {
     let job = start.setting.job;
     let mut better: Option<(Attempt, Care)> = None;
-    // How much the rounds before left, and how often in a row one left more than the one before it.
+    // How much the round before left, and how often in a row one left hardly less than the one before it.
     let (mut left, mut rises) = (usize::MAX, 0);
     for round in 0..=AGAIN {
         let on = supports.then_some(care.of_supports());

@@ -1,9 +1,10 @@
 //! What no tool gets at beside that which is kept is opened before anything is printed.
 //!
 //! Method. (1) Over what a plan misses the longest nozzle is let down from straight above; what the stock keeps in its way, and
-//! what is a voxel from it, is cut: what a plane would give up (W2V Sec. 4.2), but for all that is in nobody's way. Over stock that no cutter gets at a cone is cut. (2) All of these pits are one cut of the stock; then all is
-//! printed as before, with what they gave up, on supports that stand nowhere near stock that was left. In `pits` the cones go
-//! through what was printed as well: where that stands on supports, it cannot be made again without them.
+//! what is a voxel from it, is cut: what a plane would give up (W2V Sec. 4.2), but for all that is in nobody's way. Over stock
+//! that no cutter gets at a cone is cut. (2) All of these pits are one cut of the stock; then all is printed as before, with
+//! what they gave up, on supports that stand nowhere near stock that was left. In `pits` the cones go through what was printed
+//! as well: where that stands on supports, it cannot be made again without them.
 //!
 //! Where all was cut before anything is printed this is done as long as it is worth what it gives up; elsewhere where the pits may
 //! leave nothing at all.
@@ -22,7 +23,7 @@ use crate::voxel::{Connectivity, components};
 const OPENINGS: [f64; 2] = [0.6, 2.1];
 
 /// So often what is missing then is opened as well, where all is printed on what was cut before: on a bracket the first time
-/// left a fiftieth of it, and each after that half.
+/// left a fiftieth of it, and each after that half, which ceases to be worth it before long.
 const MOST_OPENED: usize = 8;
 
 /// The best of an attempt on supports and of those that have the stock opened over what it leaves.
@@ -77,11 +78,10 @@ pub fn with_missing_opened(run: &mut Run, mut best: Attempt) -> Result<Attempt, 
         if best.deficit.is_empty() || run.ctx.out_of_time() {
             break;
         }
-        let Grounds { stock, care } = Grounds::of(&best, job);
-        let (clips, volumes) = (best.clips.clone(), best.volumes.clone());
-        let under = UnderPlanes { clips, volumes };
+        let (under, stock) = (UnderPlanes::of_attempt(&best), finished_stock(&best));
         let Some(pit) = start.over_missing(&stock, &best.deficit) else { break };
         let Some((under, stock)) = start.cut_open((&under, &stock), &pit, run.ctx)? else { break };
+        let care = Care::none(job);
         let with = (Some(care.of_supports()), Patience::Endless);
         let before = best.cuts_after();
         let opened = start.finished(&under, &stock, with, &before, run.options, run.ctx)?;
