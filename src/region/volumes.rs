@@ -5,7 +5,7 @@ use crate::voxel::{BitGrid, Connectivity, Frame, components, flood};
 /// The three volumes of W2V Sec. 3: they partition M ∪ M*.
 #[derive(Clone, Debug)]
 pub struct Volumes {
-    /// Ṽ_R = M ∩ M*, less the pieces that nothing would hold.
+    /// Ṽ_R = M ∩ M*, less the pieces that nothing would hold, unless deposits are to.
     pub reused: BitGrid,
     /// Ṽ_S = M − Ṽ_R.
     pub removed: BitGrid,

@@ -14,11 +14,11 @@
 //! what can be kept is found, or found in few blocks and holdings.
 
 use super::fewest::with_fewest_cuts;
-use super::last_resort::{FEW_BELOW, UnderPlanes, closely_cut, cut_first, with_missing_opened};
+use super::last_resort::{FEW_BELOW, closely_cut, cut_first, with_missing_opened};
 use super::locals::is_complete;
 use super::pits::with_pits;
 use super::printed_first::{on_coarse_grid, printed_first};
-use super::round::Attempt;
+use super::round::{Attempt, Mending, UnderPlanes, attempt_under};
 use super::{Options, Run, Start};
 use crate::base::Ctx;
 use crate::planner::PlanError;
@@ -106,8 +106,7 @@ pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pl
         None => opened(run, made, rival)?,
     };
     // Here what stands in pockets that are open only below counts as well: giving more up may leave none.
-    let standing = |a: &Attempt| a.standing(job, a.volumes.reused.count());
-    if standing(&made) >= standing(best) {
+    if !made.comes_before(best, job) {
         run.report.notes = notes;
         return Ok(None);
     }
@@ -118,7 +117,7 @@ pub fn keeping_more(run: &mut Run, best: &Attempt) -> Result<Option<Attempt>, Pl
 }
 
 /// An attempt that gives nothing up, and the pits that open what it misses, giving up no more than `rival` keeps.
-fn opened(run: &mut Run, made: Attempt, rival: Option<usize>) -> Result<Attempt, PlanError> {
+pub fn opened(run: &mut Run, made: Attempt, rival: Option<usize>) -> Result<Attempt, PlanError> {
     let made = with_pits(run, made, rival)?;
     let made = closely_cut(run, &UnderPlanes::of_attempt(&made), made)?;
     made.tell("keeping more", 0);
@@ -131,7 +130,8 @@ fn all_kept(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
     let (start, options, ctx) = (run.start, run.options, run.ctx);
     let printing = on_coarse_grid(start, |start| {
         for printing in [Printed::OnSupports, Printed::AsItStands] {
-            let look = kept_and(printing, start, options, ctx)?;
+            let under = UnderPlanes::of(start.setting.job, Vec::new());
+            let look = kept_and(printing, start, &under, options, ctx)?;
             look.tell(printing.on_coarse_grid(), 0);
             if look.may_be_valid(start.setting.job) {
                 return Ok(Some(printing));
@@ -142,9 +142,9 @@ fn all_kept(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
     run.clock.lap("blocks");
     let Some(printing) = printing else { return Ok(None) };
     let setting = start.setting.with_last_resort();
-    let made = kept_and(printing, &start.in_setting(&setting), options, ctx)?;
-    made.tell("cut first", 0);
     let under = UnderPlanes::of(start.setting.job, Vec::new());
+    let made = kept_and(printing, &start.in_setting(&setting), &under, options, ctx)?;
+    made.tell("cut first", 0);
     let made = closely_cut(run, &under, made)?;
     run.clock.lap("blocks");
     match printing {
@@ -154,8 +154,8 @@ fn all_kept(run: &mut Run) -> Result<Option<Attempt>, PlanError> {
 }
 
 /// How is printed what is missing once all is cut.
-#[derive(Clone, Copy)]
-enum Printed {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Printed {
     /// Straight up first, on supports where nothing else carries it.
     OnSupports,
     /// Along whatever direction takes the most, on what stands. What is printed straight up first may wall in what
@@ -173,15 +173,19 @@ impl Printed {
 }
 
 /// All that is to go cut with nothing given up, and what is missing then printed one way or the other.
-fn kept_and(
+pub fn kept_and(
     printing: Printed,
     start: &Start,
+    under: &UnderPlanes,
     options: &Options,
     ctx: &Ctx,
 ) -> Result<Attempt, PlanError> {
     match printing {
-        Printed::OnSupports => cut_first(start, options, ctx),
-        Printed::AsItStands => start.attempt(Vec::new(), options, ctx),
+        Printed::OnSupports => cut_first(start, under, options, ctx),
+        Printed::AsItStands => {
+            let how = (options, Mending::Some);
+            attempt_under(start.setting, start.coarse, under.clone(), &start.preferred, how, ctx)
+        }
     }
 }
 
@@ -259,7 +263,8 @@ mod tests {
         let job = job_of(frame, initial, target, |t| t.taken == Taken::Always);
         let made = with_run(&job, |run| {
             let options = run.options;
-            let on_supports = cut_first(run.start, options, run.ctx).unwrap();
+            let on_supports =
+                cut_first(run.start, &UnderPlanes::of(&job, Vec::new()), options, run.ctx).unwrap();
             assert!(!on_supports.may_be_valid(&job), "{}", on_supports.left());
             all_kept(run).unwrap().expect("the wall can wait")
         });

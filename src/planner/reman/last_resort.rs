@@ -17,7 +17,6 @@
 
 mod opened;
 
-use super::clip::Clip;
 use super::cutting::{Cuts, cut_blocks};
 use super::laying::{Layer, ways_along};
 use super::printing::{
@@ -26,12 +25,11 @@ use super::printing::{
 };
 use super::reach::within_reach;
 use super::reasons::open_below;
-use super::round::{Attempt, Mending, along, deep, printed, volumes};
+use super::round::{Attempt, Mending, UnderPlanes, along, deep, printed};
 use super::{MENDABLE_SHARE, Options, Run, Start, followed};
 use crate::base::{Ctx, Direction};
 use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
-use crate::region::Volumes;
 use crate::voxel::{BitGrid, distance_within};
 use opened::opened_first;
 pub use opened::with_missing_opened;
@@ -91,23 +89,6 @@ impl Grounds {
     /// Those of a plan in one round.
     fn of(plain: &Attempt, job: &Job) -> Grounds {
         Grounds { stock: finished_stock(plain), care: Care::none(job) }
-    }
-}
-
-/// Planes, and the volumes under them.
-pub struct UnderPlanes {
-    pub clips: Vec<Clip>,
-    pub volumes: Volumes,
-}
-
-impl UnderPlanes {
-    /// Those of an attempt, and what it makes of them.
-    pub fn of_attempt(made: &Attempt) -> Self {
-        UnderPlanes { clips: made.clips.clone(), volumes: made.volumes.clone() }
-    }
-
-    pub fn of(job: &Job, clips: Vec<Clip>) -> Self {
-        UnderPlanes { volumes: volumes(job, &clips), clips }
     }
 }
 
@@ -228,11 +209,15 @@ pub fn on_supports(
     made.ok_or(PlanError::Cancelled)
 }
 
-/// What comes of all cuts made first and then deposits on supports, nothing given up; where a few supports are left, with
+/// What comes of all cuts made first and then deposits on supports; where a few supports are left, with
 /// none near them if that leaves fewer. The setting has the tools of the last resort.
-pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt, PlanError> {
+pub fn cut_first(
+    start: &Start,
+    under: &UnderPlanes,
+    options: &Options,
+    ctx: &Ctx,
+) -> Result<Attempt, PlanError> {
     let setting = start.setting;
-    let under = UnderPlanes::of(setting.job, Vec::new());
     let (deep, _) = deep(setting, &under.volumes);
     let removable = &under.volumes.removed;
     let cuts =
@@ -241,7 +226,7 @@ pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt,
     let stock = Stock { cuts: cutting.steps, state: cutting.state };
     let mut care = Care::none(setting.job);
     let with = (Some(care.of_supports()), Patience::Endless);
-    let made = start.finished(&under, &stock, with, &[], options, ctx)?;
+    let made = start.finished(under, &stock, with, &[], options, ctx)?;
     let made = made.ok_or(PlanError::Cancelled)?;
     // A few voxels of supports that no cutter gets at are in the way of a plan that leaves nothing.
     let few_stand = (1..=FEW_BELOW).contains(&made.excess.count());
@@ -249,7 +234,7 @@ pub fn cut_first(start: &Start, options: &Options, ctx: &Ctx) -> Result<Attempt,
         return Ok(made);
     }
     let with = (Some(care.of_supports()), Patience::Endless);
-    let again = start.finished(&under, &stock, with, &care.before, options, ctx)?;
+    let again = start.finished(under, &stock, with, &care.before, options, ctx)?;
     let stand = |a: &Attempt| (a.excess.count(), a.deficit.count());
     Ok(again.filter(|a| stand(a) < stand(&made)).unwrap_or(made))
 }
@@ -474,7 +459,7 @@ impl Start<'_> {
     /// After some steps (so many of them cuts of the stock, and what those leave) and what is printed next: cuts
     /// of what stands outside the target, those of a round before first, and deposits of what is still
     /// missing.
-    fn ended(
+    pub fn ended(
         &self,
         under: &UnderPlanes,
         (mut steps, cuts, stock): (Vec<Step>, usize, BitGrid),

@@ -14,10 +14,10 @@
 
 use super::clip::Clip;
 use super::coarse::Coarse;
-use super::last_resort::{UnderPlanes, on_supports};
+use super::last_resort::on_supports;
 use super::local::{Candidate, Scope};
 use super::refine::refine;
-use super::round::{Attempt, Mending, attempt, volumes};
+use super::round::{Attempt, Mending, UnderPlanes, attempt, volumes};
 use super::setting::Setting;
 use super::{Clock, Options, Report, Run, Start};
 use crate::base::{Ctx, Direction};

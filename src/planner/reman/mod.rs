@@ -40,6 +40,8 @@
 //!   (`printing::roofs`).
 //! - Where global planes leave more than the rules allow and give something up, and supports would not
 //!   mend that, all is printed on the part as it is, before any cut (`printed_first`).
+//! - What of Ṽ_R hangs on nothing is not given up where deposits can hold it before the last of what carries it is cut
+//!   (`hanging`); the paper gives it up.
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
 //! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`). Where planes
 //!   give up much, all is planned that way with nothing given up at first (`keeping`); where that turns out well,
@@ -81,6 +83,7 @@ mod finish;
 mod fitting;
 mod glance;
 mod global;
+mod hanging;
 mod hidden;
 mod keeping;
 mod last_resort;
@@ -125,8 +128,9 @@ use fewest::with_fewest_cuts;
 use finish::finished;
 use fitting::fitted;
 use global::{choose, global_route, most_promising};
+use hanging::with_what_hangs;
 use keeping::{keeping_more, kept_at_first};
-use last_resort::{UnderPlanes, last_resort, on_supports};
+use last_resort::{last_resort, on_supports};
 use locals::{improved, is_complete, local_route};
 use loose::first_cut;
 use pits::with_pits;
@@ -136,7 +140,7 @@ pub use report::Report;
 use room::Room;
 use roughing::roughed;
 pub use round::COMPLETION_SHARE;
-use round::{Attempt, RESIDUAL_WEIGHT, deep, volumes};
+use round::{Attempt, RESIDUAL_WEIGHT, UnderPlanes, deep, volumes};
 use setting::Setting;
 use spared::spared;
 use std::cmp::Ordering;
@@ -412,15 +416,28 @@ fn one_round(
     let keeps_more = options.finish_mm == 0.0 && !is_compared;
     let clips: Vec<Clip> = planes.iter().map(|p| Clip::global(*p)).collect();
     let under_planes = volumes(job, &clips).reused.count();
-    let kept = if keeps_more { kept_at_first(&mut run, under_planes)? } else { None };
-    let (mut best, why, aside) = match kept {
-        Some(kept) => on_what_hangs(kept, job),
+    // With little time a plan of what is held comes first.
+    let is_first = keeps_more && !ctx.is_limited();
+    let mut hanging = if is_first { with_what_hangs(&mut run)? } else { None };
+    let kept = match hanging.take_if(|h| h.made.left() == 0) {
+        Some(hanging) => Some(hanging.taken(&mut run)?),
+        None if keeps_more => kept_at_first(&mut run, under_planes)?,
+        None => None,
+    };
+    let (mut best, mut why, mut aside) = match kept {
+        Some(kept) => nothing_given_up(kept, job),
         None => {
             let under = under_planes_or_not(&mut run, planes, &first)?;
             let more = if keeps_more { keeping_more(&mut run, &under.0)? } else { None };
-            more.map_or(under, |more| on_what_hangs(more, job))
+            more.map_or(under, |more| nothing_given_up(more, job))
         }
     };
+    if keeps_more && ctx.is_limited() {
+        hanging = with_what_hangs(&mut run)?;
+    }
+    if let Some(hanging) = hanging.filter(|h| h.made.comes_before(&best, job)) {
+        (best, why, aside) = nothing_given_up(hanging.taken(&mut run)?, job);
+    }
     best = roughed(&mut run, best)?;
     let room = Room::of(job);
     best = fitted(&mut run, &room, best)?;
@@ -434,7 +451,7 @@ fn one_round(
 }
 
 /// A plan that gave nothing up at first, why it prints supports, and how many voxels of them.
-fn on_what_hangs(made: Attempt, job: &Job) -> (Attempt, &'static str, usize) {
+fn nothing_given_up(made: Attempt, job: &Job) -> (Attempt, &'static str, usize) {
     let aside = made.printed_aside(job).count();
     (made, "to carry what nothing else does", aside)
 }

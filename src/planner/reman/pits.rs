@@ -102,8 +102,7 @@ pub fn with_pits(
     rival: Option<usize>,
 ) -> Result<Attempt, PlanError> {
     let job = run.start.setting.job;
-    let within = plain.left() as f64 <= WITHIN * job.rules.deviation * job.target.count() as f64;
-    if plain.deficit.is_empty() || !within {
+    if plain.deficit.is_empty() || !leaves_little_enough(&plain, job) {
         return Ok(plain);
     }
     let setting = run.start.setting.with_last_resort();
@@ -130,6 +129,11 @@ pub fn with_pits(
         ));
     }
     Ok(best)
+}
+
+/// Whether a plan leaves so little that pits may mend it, if no stock stands.
+pub fn leaves_little_enough(plain: &Attempt, job: &Job) -> bool {
+    plain.left() as f64 <= WITHIN * job.rules.deviation * job.target.count() as f64
 }
 
 /// The best of a plan and those with more and more pits, and the pits of the best. First come those that an

@@ -11,8 +11,8 @@
 
 use super::clip::Clip;
 use super::coarse::Coarse;
-use super::last_resort::{UnderPlanes, on_supports};
-use super::round::Attempt;
+use super::last_resort::on_supports;
+use super::round::{Attempt, UnderPlanes};
 use super::setting::Setting;
 use super::{Run, Start};
 use crate::planner::PlanError;

@@ -113,6 +113,12 @@ impl Attempt {
         Standing { class, given_up_mm3, left_mm3 }
     }
 
+    /// Whether it is a better plan of the same parts than another, whatever may be held of what is open only below.
+    pub fn comes_before(&self, other: &Attempt, job: &Job) -> bool {
+        let standing = |a: &Attempt| a.standing(job, a.volumes.reused.count());
+        standing(self) < standing(other)
+    }
+
     /// Voxels of its additive steps and those it misses.
     pub fn printed(&self) -> usize {
         let additive = self.steps.iter().filter(|s| s.kind == StepKind::Additive);
@@ -164,6 +170,24 @@ fn ranked(job: &Job, reused: usize, left: usize, allowed: usize) -> (u8, usize) 
     }
 }
 
+/// Planes, and the volumes under them.
+#[derive(Clone)]
+pub struct UnderPlanes {
+    pub clips: Vec<Clip>,
+    pub volumes: Volumes,
+}
+
+impl UnderPlanes {
+    /// Those of an attempt, and what it makes of them.
+    pub fn of_attempt(made: &Attempt) -> Self {
+        UnderPlanes { clips: made.clips.clone(), volumes: made.volumes.clone() }
+    }
+
+    pub fn of(job: &Job, clips: Vec<Clip>) -> Self {
+        UnderPlanes { volumes: volumes(job, &clips), clips }
+    }
+}
+
 /// How often printing is tried again where it leaves a little.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Mending {
@@ -196,11 +220,24 @@ pub fn attempt(
     coarse: &Coarse,
     clips: Vec<Clip>,
     preferred: &[Direction],
+    how: (&Options, Mending),
+    ctx: &Ctx,
+) -> Result<Attempt, PlanError> {
+    let under = UnderPlanes::of(setting.job, clips);
+    attempt_under(setting, coarse, under, preferred, how, ctx)
+}
+
+/// Makes the blocks of some volumes.
+pub fn attempt_under(
+    setting: &Setting,
+    coarse: &Coarse,
+    under: UnderPlanes,
+    preferred: &[Direction],
     (options, mending): (&Options, Mending),
     ctx: &Ctx,
 ) -> Result<Attempt, PlanError> {
     let job = setting.job;
-    let volumes = volumes(job, &clips);
+    let UnderPlanes { clips, volumes } = under;
     let (deep_removed, added) = deep(setting, &volumes);
     let along = along(&clips, preferred);
     let cuts = Cuts {

@@ -6,16 +6,17 @@
 //! what they gave up, on supports that stand nowhere near stock that was left. In `pits` the cones go through what was printed
 //! as well: where that stands on supports, it cannot be made again without them.
 //!
-//! Where all was cut before anything is printed this is done as long as it is worth what it gives up; elsewhere where the pits may
+//! Where all was cut before anything is printed this is done as long as it gives little up for what it gains; elsewhere where the pits may
 //! leave nothing at all.
 //!
 //! Guarantees: those of cuts and deposits; of what is kept at most a share of the target is given up at a time, and taken is what
-//! ranks no lower, or loses less, and leaves less. Not guaranteed: that less is left, or that less could not be given up.
+//! leaves less and ranks no lower or gives little up for it. Not guaranteed: that less is left, or that less could not be given up.
 
 use super::*;
 use crate::machine::Section;
 use crate::planner::reman::pits::{cone, cut_with_skin, pit_over};
-use crate::planner::reman::round::COMPLETION_SHARE;
+use crate::planner::reman::round::{COMPLETION_SHARE, UnderPlanes};
+use crate::region::Volumes;
 use crate::voxel::{Connectivity, components};
 
 /// How much wider pits get for each mm up, those that are made first, and those over what these leave, a round or two for
@@ -25,6 +26,10 @@ const OPENINGS: [f64; 2] = [0.6, 2.1];
 /// So often what is missing then is opened as well, where all is printed on what was cut before: on a bracket the first time
 /// left a fiftieth of it, and each after that half, which ceases to be worth it before long.
 const MOST_OPENED: usize = 8;
+
+/// What may be given up for a voxel less that is missing: what is still missing then is opened by pits through what was
+/// printed, which on a bracket asked for a thousand each.
+const MOST_GIVEN_UP: usize = 100;
 
 /// The best of an attempt on supports and of those that have the stock opened over what it leaves.
 pub(super) fn opened_first(
@@ -69,7 +74,7 @@ pub(super) fn opened_first(
 }
 
 /// What comes of an attempt that cut first and then printed on supports when the stock is opened over what it misses, and
-/// again over what it then misses, as long as that is worth what it gives up.
+/// again over what it then misses, as long as that gives little up.
 pub fn with_missing_opened(run: &mut Run, mut best: Attempt) -> Result<Attempt, PlanError> {
     let setting = run.start.setting.with_last_resort();
     let start = run.start.in_setting(&setting);
@@ -88,7 +93,9 @@ pub fn with_missing_opened(run: &mut Run, mut best: Attempt) -> Result<Attempt, 
         let Some(opened) = opened else { break };
         let opened = closely_cut(run, &under, opened)?;
         opened.tell("missing opened first", round);
-        if opened.left() >= best.left() || opened.loss(job) >= best.loss(job) {
+        let fewer = best.left().saturating_sub(opened.left());
+        let given_up = best.volumes.reused.count().saturating_sub(opened.volumes.reused.count());
+        if fewer == 0 || given_up > MOST_GIVEN_UP * fewer {
             break;
         }
         best = opened;
@@ -267,7 +274,9 @@ mod tests {
         let (before, made) = with_run(&job, |run| {
             let setting = run.start.setting.with_last_resort();
             let start = run.start.in_setting(&setting);
-            let before = cut_first(&start, run.options, run.ctx).unwrap();
+            let before =
+                cut_first(&start, &UnderPlanes::of(&job, Vec::new()), run.options, run.ctx)
+                    .unwrap();
             let made = with_missing_opened(run, before.clone()).unwrap();
             (before, made)
         });
