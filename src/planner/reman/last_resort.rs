@@ -32,7 +32,7 @@ use crate::plan::{Job, Step, StepKind};
 use crate::planner::PlanError;
 use crate::voxel::{BitGrid, distance_within};
 use opened::opened_first;
-pub use opened::with_missing_opened;
+pub use opened::{with_missing_opened, with_standing_opened};
 
 /// How often all is tried again without the supports that the cutters left, and with what was missing
 /// printed first: each time costs as much as the first, and the third leaves few.

@@ -130,7 +130,7 @@ use fitting::fitted;
 use global::{choose, global_route, most_promising};
 use hanging::with_what_hangs;
 use keeping::{keeping_more, kept_at_first};
-use last_resort::{last_resort, on_supports};
+use last_resort::{last_resort, on_supports, with_standing_opened};
 use locals::{improved, is_complete, local_route};
 use loose::first_cut;
 use pits::with_pits;
@@ -526,6 +526,9 @@ fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
         }
     }
     let global = global_route(run, first, &promise.admissible)?;
+    if let Some(opened) = with_standing_opened(run, &global)?.filter(|o| o.is_valid(job)) {
+        return Ok(vec![opened]);
+    }
     let kept = global.volumes.reused.count() as f64;
     let most = first.reused.count() as f64;
     let more = most - kept > locals::WORTH_SHARE * job.target.count() as f64;

@@ -6,6 +6,9 @@
 //! what they gave up, on supports that stand nowhere near stock that was left. In `pits` the cones go through what was printed
 //! as well: where that stands on supports, it cannot be made again without them.
 //!
+//! Where so much stock stands that no plan is valid, cones as slim as a slim cutter go over all of it, the largest bodies first, and
+//! what they open the way to is cut as well (`with_standing_opened`): planes would give up far more.
+//!
 //! Where all was cut before anything is printed this is done as long as it gives little up for what it gains; elsewhere where the pits may
 //! leave nothing at all.
 //!
@@ -15,6 +18,7 @@
 use super::*;
 use crate::machine::Section;
 use crate::planner::reman::pits::{cone, cut_with_skin, pit_over};
+use crate::planner::reman::printed_first::on_coarse_grid;
 use crate::planner::reman::round::{COMPLETION_SHARE, UnderPlanes};
 use crate::region::Volumes;
 use crate::voxel::{Connectivity, components};
@@ -30,6 +34,52 @@ const MOST_OPENED: usize = 8;
 /// What may be given up for a voxel less that is missing: what is still missing then is opened by pits through what was
 /// printed, which on a bracket asked for a thousand each.
 const MOST_GIVEN_UP: usize = 100;
+
+/// How much wider pits over stock get for each mm up where there is much of it. On a bracket cones of .2, .36 and .6 all opened
+/// everything, and gave up .21, .26 and .32 of it.
+const SLIM_OPENING: f64 = 0.2;
+
+/// Share of the target that may be given up at a time to open stock, where else no plan is valid.
+const MOST_OVER_STOCK: f64 = 0.5;
+
+/// So often stock is opened and what that opens is cut: bodies of at least this share of what stands each time, for others may be
+/// reached then.
+const MOST_STOCK_OPENED: usize = 4;
+const BODY_SHARE: f64 = 0.02;
+
+/// What comes of an attempt that leaves so much stock that it is not valid when the stock is opened from above before anything is
+/// printed; none where the coarse grid shows that this leaves more than the rules allow.
+pub fn with_standing_opened(run: &mut Run, plain: &Attempt) -> Result<Option<Attempt>, PlanError> {
+    let job = run.start.setting.job;
+    let is_invalid = |a: &Attempt, job: &Job| a.standing(job, a.volumes.reused.count()).class == 2;
+    let stands = plain.excess.count() > plain.deficit.count() && is_invalid(plain, job);
+    if !stands || !run.options.supports || run.ctx.out_of_time() {
+        return Ok(None);
+    }
+    let (options, ctx) = (run.options, run.ctx);
+    let is_hopeful = on_coarse_grid(run.start, |look| {
+        let plain = look.attempt(plain.clips.clone(), options, ctx)?;
+        let opened = look.printed_on_opened(&plain, options, ctx)?;
+        let Some((made, _, _)) = opened else { return Ok(false) };
+        made.tell("stock opened, on the coarse grid", 0);
+        Ok(!is_invalid(&made, look.setting.job))
+    })?;
+    run.clock.lap("blocks");
+    if !is_hopeful {
+        return Ok(None);
+    }
+    let setting = run.start.setting.with_last_resort();
+    let start = run.start.in_setting(&setting);
+    let Some((made, under, grounds)) = start.printed_on_opened(plain, options, ctx)? else {
+        return Ok(None);
+    };
+    made.tell("stock opened", 0);
+    let made = closely_cut(run, &under, made)?;
+    if !made.comes_before(plain, job) {
+        return Ok(None);
+    }
+    opened_first(run, under, grounds, made).map(Some)
+}
 
 /// The best of an attempt on supports and of those that have the stock opened over what it leaves.
 pub(super) fn opened_first(
@@ -48,8 +98,8 @@ pub(super) fn opened_first(
             break;
         }
         let Some(pit) = start.over_all(&under, &grounds.stock, &now, opening) else { break };
-        let parts = (&under, &grounds.stock);
-        let Some((opened, stock)) = start.cut_open(parts, &pit, run.ctx)? else { break };
+        let (parts, most) = ((&under, &grounds.stock), most_to_complete(job));
+        let Some((opened, stock)) = start.cut_open(parts, (&pit, most), run.ctx)? else { break };
         let near = distance_within(&now.excess, NEAR_STUCK).minus(&job.target);
         grounds.care.avoided.union_with(&near);
         // Printed ahead, what pits open is in the way of what lies beside it.
@@ -85,7 +135,10 @@ pub fn with_missing_opened(run: &mut Run, mut best: Attempt) -> Result<Attempt, 
         }
         let (under, stock) = (UnderPlanes::of_attempt(&best), finished_stock(&best));
         let Some(pit) = start.over_missing(&stock, &best.deficit) else { break };
-        let Some((under, stock)) = start.cut_open((&under, &stock), &pit, run.ctx)? else { break };
+        let most = most_to_complete(job);
+        let Some((under, stock)) = start.cut_open((&under, &stock), (&pit, most), run.ctx)? else {
+            break;
+        };
         let care = Care::none(job);
         let with = (Some(care.of_supports()), Patience::Endless);
         let before = best.cuts_after();
@@ -104,7 +157,76 @@ pub fn with_missing_opened(run: &mut Run, mut best: Attempt) -> Result<Attempt, 
     Ok(best)
 }
 
+/// How many voxels may be given up at a time to leave nothing.
+fn most_to_complete(job: &Job) -> usize {
+    (COMPLETION_SHARE * job.target.count() as f64) as usize
+}
+
 impl Start<'_> {
+    /// What is printed on supports on the stock of an attempt when that is opened over what stands, and what it began with.
+    fn printed_on_opened(
+        &self,
+        plain: &Attempt,
+        options: &Options,
+        ctx: &Ctx,
+    ) -> Result<Option<(Attempt, UnderPlanes, Grounds)>, PlanError> {
+        let job = self.setting.job;
+        let (under, stock) = (UnderPlanes::of_attempt(plain), finished_stock(plain));
+        let opened = self.opened_over(under, stock, plain.excess.clone(), options, ctx)?;
+        let Some((under, stock)) = opened else { return Ok(None) };
+        let mut care = Care::none(job);
+        let made = rounds(self, (&under, &stock), (true, &mut care), None, (options, ctx))?;
+        Ok(made.map(|made| (made, under, Grounds { stock, care })))
+    }
+
+    /// A stock opened over what stands in it, and what that opens cut, the largest bodies first; none where that would give up
+    /// too much.
+    fn opened_over(
+        &self,
+        mut under: UnderPlanes,
+        mut stock: Stock,
+        mut standing: BitGrid,
+        options: &Options,
+        ctx: &Ctx,
+    ) -> Result<Option<(UnderPlanes, Stock)>, PlanError> {
+        let (setting, job) = (self.setting, self.setting.job);
+        let Some(nozzle) = setting.nozzles().last() else { return Ok(None) };
+        let foot = nozzle.tip_radius() + job.frame.pitch / 2.0;
+        let most = (MOST_OVER_STOCK * job.target.count() as f64) as usize;
+        for round in 0..MOST_STOCK_OPENED {
+            let bodies = components(&standing, Connectivity::Corner26);
+            let least = BODY_SHARE * standing.count() as f64;
+            let sizes = bodies.sizes();
+            let mut pit = BitGrid::new(job.frame.dims);
+            for label in (0..sizes.len()).filter(|l| sizes[*l] as f64 >= least) {
+                let body: Vec<[usize; 3]> = bodies.grid_of(label as u32).iter_ones().collect();
+                let over = (&stock.state, &job.frame);
+                pit.union_with(&pit_over(over, &body, Direction::Z, cone(foot, SLIM_OPENING)));
+            }
+            let Some(opened) = self.cut_open((&under, &stock), (&pit, most), ctx)? else {
+                return Ok((round > 0).then_some((under, stock)));
+            };
+            (under, stock) = opened;
+            let reused = &under.volumes.reused;
+            let next_job = Job { initial: stock.state.clone(), ..job.clone() };
+            let next = setting.of_next_round(&next_job, setting.old_of(reused));
+            let removable = stock.state.minus(&job.target);
+            let deep = removable.minus(&setting.skin(reused));
+            let samples = options.directions;
+            let cuts =
+                Cuts { removable: &removable, deep: &deep, samples, before: &[], patient: true };
+            let cutting = cut_blocks(&next, self.coarse, &cuts, ctx)?;
+            let cuts = followed(stock.cuts, cutting.steps);
+            stock = Stock { cuts, state: cutting.state };
+            standing = cutting.unreached;
+            tracing::debug!(round, standing = standing.count(), "stock opened");
+            if standing.is_empty() || ctx.out_of_time() {
+                break;
+            }
+        }
+        Ok(Some((under, stock)))
+    }
+
     /// Pits over all that a plan leaves; none where nothing that is kept is in the way of some of it. What is missing
     /// under that which is printed is no less so with pits, and only what leaves nothing is worth them.
     fn over_all(
@@ -151,12 +273,11 @@ impl Start<'_> {
     fn cut_open(
         &self,
         (under, stock): (&UnderPlanes, &Stock),
-        pit: &BitGrid,
+        (pit, most): (&BitGrid, usize),
         ctx: &Ctx,
     ) -> Result<Option<(UnderPlanes, Stock)>, PlanError> {
         let (setting, job) = (self.setting, self.setting.job);
         let (state, kept) = (&stock.state, &under.volumes.reused);
-        let most = (COMPLETION_SHARE * job.target.count() as f64) as usize;
         let given_up = pit.count_and(kept);
         tracing::debug!(pit = pit.count(), given_up, most, "to be opened");
         if !(1..=most).contains(&given_up) {
@@ -231,6 +352,49 @@ mod tests {
         let plan = Plan { holdings: Vec::new(), steps: made.steps.clone() };
         assert_eq!(end_state(&job, &plan).reused, made.volumes.reused);
         assert_verifies(&job, made.steps);
+    }
+
+    /// A block with hollows that nothing gets into, as long as that is opened.
+    fn hollow(is_hollow: impl Fn([usize; 3]) -> bool + Sync) -> Job {
+        let frame = Frame { pitch: 0.5, dims: DIMS, origin: DVec3::ZERO };
+        let block = |v| within(v, [3, 3, 0], [67, 57, 30]);
+        let initial = BitGrid::from_fn(DIMS, block);
+        let target = BitGrid::from_fn(DIMS, |v| block(v) && !is_hollow(v));
+        job_of(frame, initial, target, |_| true)
+    }
+
+    /// Planes gave up two thirds of a bracket with much stock between its struts, and no plan was complete.
+    #[test]
+    fn much_stock_that_nothing_gets_at_is_opened_by_slim_cones() {
+        let job =
+            hollow(|v| [10, 30, 50].iter().any(|x| within(v, [*x, 25, 17], [x + 10, 35, 27])));
+        let (before, made) = with_run(&job, |run| {
+            let before = plain(run);
+            let made = with_standing_opened(run, &before).unwrap().expect("it can be opened");
+            (before, made)
+        });
+        assert!(
+            !before.is_valid(&job) && before.excess.count() > 1000,
+            "{}",
+            before.excess.count()
+        );
+        assert_eq!(made.left(), 0, "{} {}", made.excess.count(), made.deficit.count());
+        let lost = before.volumes.reused.count() - made.volumes.reused.count();
+        assert!(lost > 300 && (lost as f64) < 0.05 * job.target.count() as f64, "{lost}");
+        let plan = Plan { holdings: Vec::new(), steps: made.steps.clone() };
+        assert_eq!(end_state(&job, &plan).reused, made.volumes.reused);
+        assert_verifies(&job, made.steps);
+    }
+
+    #[test]
+    fn stock_is_not_opened_where_that_would_give_up_most_of_the_part() {
+        let job = hollow(|v| within(v, [6, 6, 2], [64, 54, 10]));
+        let found = with_run(&job, |run| {
+            let before = plain(run);
+            assert!(before.excess.count() > 10_000);
+            with_standing_opened(run, &before).unwrap().is_some()
+        });
+        assert!(!found);
     }
 
     /// Held against the definition, over a few voxels beside the block.
