@@ -88,7 +88,12 @@ pub fn with_what_hangs(run: &mut Run) -> Result<Option<Hanging>, PlanError> {
     if !is_worth_it || !options.supports || ctx.out_of_time() {
         return Ok(None);
     }
-    let looks = on_coarse_grid(start, |start| looks(start, options, ctx))?;
+    let setting = start.setting.with_last_resort();
+    let start = start.in_setting(&setting);
+    let looks = match start.coarse.is_coarser() {
+        true => on_coarse_grid(&start, |look| looks(look, options, ctx))?,
+        false => looks(&start, options, ctx)?,
+    };
     run.clock.lap("blocks");
     let told_before = std::mem::take(&mut run.report.notes);
     let mut best: Option<Hanging> = None;
@@ -102,10 +107,7 @@ pub fn with_what_hangs(run: &mut Run) -> Result<Option<Hanging>, PlanError> {
             hanging as f64 * job.frame.voxel_volume()
         )];
         let made = match start.coarse.is_coarser() {
-            true => {
-                let setting = start.setting.with_last_resort();
-                way.made(&start.in_setting(&setting), &under, options, ctx)?
-            }
+            true => way.made(&start, &under, options, ctx)?,
             false => look,
         };
         made.tell("hanging", 0);
