@@ -22,7 +22,8 @@ use crate::voxel::{BitGrid, distance_within};
 /// Up to so many voxels of supports that no cutter gets at, what they carry is made again without supports near them, and
 /// may then miss so many times as many more. Of more, exact distances take most in the end.
 const FEW_STUCK: usize = 5;
-const MORE_MISSING: usize = 10;
+/// What stands counts for so many times as much that is missing: pits open this, not that.
+pub const MORE_MISSING: usize = 10;
 
 /// What is wanted printed straight up on supports, these cut away, and then what is still missing; once more without
 /// supports near a few that no cutter gets at, if what that leaves is less: it can be opened by pits.

@@ -4,14 +4,16 @@
 //! the last of what carries it goes, and until then deposits can be laid that carry it after that. So here all bodies of
 //! Ṽ_R are reused but crumbs, nothing is given up, and three ways of making that are looked at on the coarse grid: print on the part as
 //! it is and then cut (`printed_first`), or cut first, but for bridges to what would come loose (`bridges`), and print on supports or
-//! as it stands (`keeping`). Those that leave no more than the rules allow, or nothing but what pits may open, are made, the best
+//! as it stands (`keeping`). Where other deposits hide what carried the bodies, it is cut as soon as they are held and the rest printed
+//! then, if that leaves less. Those ways that leave no more than the rules allow, or nothing but what pits may open, are made, the best
 //! first, until one leaves nothing.
 //!
 //! Guarantees: those of cuts and deposits; no step lets anything come loose. Not guaranteed: that a bridge bears a load; that what
 //! some of the bodies ask for is not what hinders a plan that would keep the others.
 
+use super::aside::MORE_MISSING;
 use super::fewest::with_fewest_cuts;
-use super::keeping::{Printed, kept_and, opened};
+use super::keeping::{KEEPING_SHARE, Printed, kept_and, opened};
 use super::last_resort::{closely_cut, on_supports};
 use super::pits::leaves_little_enough;
 use super::printed_first::on_coarse_grid;
@@ -24,14 +26,9 @@ use crate::planner::PlanError;
 use crate::region::{Volumes, steady};
 use crate::voxel::{BitGrid, Connectivity, components};
 
-/// Share of the target that has to hang for it to be worth a look.
-const HANGING_SHARE: f64 = 0.05;
-
-/// Bodies below this share of the target are crumbs, where surfaces cross: each would ask for a deposit of its own.
+/// Bodies below this share of the target are crumbs, where surfaces cross: each would ask for a deposit of its own. Only
+/// this share was tried.
 const LEAST_BODY_SHARE: f64 = 2e-3;
-
-/// What stands counts so many times as much as what is missing: pits open this, not that.
-const EXCESS_WEIGHT: usize = 10;
 
 /// How what hangs is held until deposits hold it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +81,7 @@ pub fn with_what_hangs(run: &mut Run) -> Result<Option<Hanging>, PlanError> {
     let job = start.setting.job;
     let under = UnderPlanes::of_all_in_common(job);
     let hanging = under.volumes.reused.count() - volumes(job, &[]).reused.count();
-    let is_worth_it = hanging as f64 > HANGING_SHARE * job.target.count() as f64;
+    let is_worth_it = hanging as f64 > KEEPING_SHARE * job.target.count() as f64;
     if !is_worth_it || !options.supports || ctx.out_of_time() {
         return Ok(None);
     }
@@ -102,8 +99,8 @@ pub fn with_what_hangs(run: &mut Run) -> Result<Option<Hanging>, PlanError> {
             break;
         }
         run.report.notes = vec![format!(
-            "{:.1} mm³ of what both parts have in common hang on nothing else of it: what is printed holds them before \
-             the last of what carries them is cut.",
+            "{:.1} mm³ of what both parts have in common would hang on nothing once the rest of the initial part is \
+             cut away, so material that holds it is printed before that.",
             hanging as f64 * job.frame.voxel_volume()
         )];
         let made = match start.coarse.is_coarser() {
@@ -140,9 +137,9 @@ fn looks(start: &Start, options: &Options, ctx: &Ctx) -> Result<Vec<(Way, Attemp
     Ok(looks)
 }
 
-/// How much of what an attempt leaves is in the way of one that leaves nothing.
+/// How much of what an attempt leaves is in the way of one that leaves nothing: pits open what is missing, not what stands.
 fn hindrance(made: &Attempt) -> usize {
-    EXCESS_WEIGHT * made.excess.count() + made.deficit.count()
+    MORE_MISSING * made.excess.count() + made.deficit.count()
 }
 
 impl Way {
@@ -256,7 +253,7 @@ mod tests {
         assert_verifies(job, made.steps.clone());
     }
 
-    /// Half of the parts drawn at random kept nothing, as what they had in common did not touch the base.
+    /// A quarter of the pairs drawn at random kept nothing, as what they had in common did not touch the base.
     #[test]
     fn what_hangs_is_held_by_what_is_printed_before_its_leg_is_cut() {
         let job = job(leg, |_| false);

@@ -24,7 +24,7 @@ use crate::base::Ctx;
 use crate::planner::PlanError;
 
 /// Share of the target that a plan gives up for another to be looked for that keeps it.
-const KEEPING_SHARE: f64 = 0.05;
+pub const KEEPING_SHARE: f64 = 0.05;
 
 /// The same for parts that are not worn, where looking takes as long as the plan did: a bearing that gives up 0.07 was
 /// looked at in vain, for half as long again.

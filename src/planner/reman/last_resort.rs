@@ -10,7 +10,7 @@
 //! is printed ahead of all else. If this way leaves something, the stock is cut before anything is printed, once
 //! without supports and once with them; these come first where much is missing that hangs in the open. After all steps of the best of these come cuts by all tools and by exact
 //! distances, where it leaves something standing, and deposits of what those open; where nothing is printed they are
-//! all there is to do.
+//! all there is to do. What tools do not get at then is opened in the stock, and all made once more (`opened`).
 //!
 //! Guarantees: those of cuts and deposits. A plan is made this way only if it ranks higher and
 //! leaves less. Not guaranteed: that nothing is left.

@@ -42,6 +42,8 @@
 //!   mend that, all is printed on the part as it is, before any cut (`printed_first`).
 //! - What of Ṽ_R hangs on nothing is not given up where deposits can hold it before the last of what carries it is cut
 //!   (`hanging`); the paper gives it up.
+//! - Where so much stock stands that no plan is valid, it is opened by slim cones from above before planes give more up
+//!   (`last_resort::opened`).
 //! - The small cuts of a plan give way to an exact cover of what they took (`fewest`).
 //! - What a plan still misses beside reused material is opened by pits and printed with it (`pits`). Where planes
 //!   give up much, all is planned that way with nothing given up at first (`keeping`); where that turns out well,
@@ -496,8 +498,8 @@ fn under_planes_or_not(
     Ok((with_crumbs(run, best)?, why, aside))
 }
 
-/// Attempts, the best first: with global planes, and with local ones where those gave up much or left
-/// something; none where printing first is enough.
+/// Attempts, the best first: with stock opened where much of it stands, else with global planes, and with local ones where
+/// those gave up much or left something; none where printing first is enough.
 fn searched(run: &mut Run, first: &Volumes) -> Result<Vec<Attempt>, PlanError> {
     let job = run.start.setting.job;
     let normals = run.normals;
