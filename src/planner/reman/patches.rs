@@ -1,16 +1,18 @@
 //! Patches of what a plan misses, and what has to be printed for each of them.
 //!
 //! Method: the pieces of what is missing are cut along a lattice of cells of a few millimetres. Along a way all
-//! that is missing is gone over from below; what is carried by what stands, or by what else is then printed, could be
-//! printed at all. The body of a patch is the patch and, voxel by voxel, the straightest carrier of each that nothing
+//! that is missing is gone over from below; what is carried by what stands, by the base under it, or by what else is then
+//! printed, could be printed at all. The body of a patch is the patch and, voxel by voxel, the straightest carrier of each that nothing
 //! carries yet.
 //!
 //! Guarantees: a patch has a body along a way exactly if all of it could be printed along that way by the rule of
 //! overhangs alone; a body can, from below, and is made of what is missing. Not guaranteed: that it is the smallest, nor
 //! that a nozzle gets at it.
 
+use super::laying::{Way, base_layer};
 use crate::access::CarrierTable;
 use crate::base::{DVec3, Direction};
+use crate::plan::Job;
 use crate::voxel::{BitGrid, Connectivity, Frame, components};
 use std::collections::BTreeMap;
 
@@ -39,19 +41,43 @@ pub fn patches(frame: &Frame, missing: &BitGrid) -> Vec<Patch> {
     of.into_values().map(|voxels| Patch::of(voxels, frame)).collect()
 }
 
-/// What stands, and of what is missing all that would be carried were it printed along a direction, from below.
+/// What carries deposits along a way: what stands and, straight up as clamped, the base.
+pub struct Carrying {
+    along: Direction,
+    carriers: CarrierTable,
+    /// The layer that the base carries.
+    plate: Option<usize>,
+}
+
+impl Carrying {
+    pub fn of(way: &Way, job: &Job) -> Carrying {
+        let plate = if way.on_base() { base_layer(&job.frame) } else { None };
+        Carrying::new(way.direction, job.rules.overhang_deg, plate)
+    }
+
+    fn new(along: Direction, overhang_deg: f64, plate: Option<usize>) -> Carrying {
+        Carrying { along, carriers: CarrierTable::new(along, overhang_deg), plate }
+    }
+
+    fn carries(&self, stands: &BitGrid, v: [usize; 3]) -> bool {
+        self.plate == Some(v[2]) || self.carriers.carries(stands, v)
+    }
+}
+
+/// What stands, and of what is missing all that would be carried were it printed along a way, from below.
 pub fn carried_later(
     stands: &BitGrid,
     missing: &BitGrid,
     frame: &Frame,
-    (along, carriers): (Direction, &CarrierTable),
+    carrying: &Carrying,
 ) -> BitGrid {
+    let along = carrying.along;
     let mut order: Vec<([usize; 3], f64)> =
         missing.iter_ones().map(|v| (v, along.dot(frame.center(v)))).collect();
     order.sort_by(|a, b| a.1.total_cmp(&b.1));
     let mut later = stands.clone();
     for (v, _) in order {
-        if carriers.carries(&later, v) {
+        if carrying.carries(&later, v) {
             later.set(v, true);
         }
     }
@@ -71,7 +97,7 @@ impl Patch {
     /// [`carried_later`] says; `stands` is as it was in the end.
     pub fn body(
         &self,
-        carriers: &CarrierTable,
+        carrying: &Carrying,
         stands: &mut BitGrid,
         later: &BitGrid,
     ) -> Option<Vec<[usize; 3]>> {
@@ -85,9 +111,10 @@ impl Patch {
         while looked_at < body.len() {
             let v = body[looked_at];
             looked_at += 1;
-            if carriers.carries(stands, v) {
+            if carrying.carries(stands, v) {
                 continue;
             }
+            let carriers = &carrying.carriers;
             let straight = carriers.under(v, dims).find(|u| later.get(*u)).map(|u| vec![u]);
             let chain = || {
                 let is_there = |c: &[[usize; 3]; 2]| c.iter().all(|u| later.get(*u));
@@ -130,8 +157,10 @@ mod tests {
             }
             let d = [DVec3::Z, DVec3::X, DVec3::new(0.4, -0.5, 0.7).normalize()][i / 3 % 3];
             let along = Direction::new(d).unwrap();
-            let carriers = CarrierTable::new(along, 50.0);
-            let later = carried_later(&stands, &missing, &frame, (along, &carriers));
+            // Every other one along the z axis stands on a base.
+            let plate = (d == DVec3::Z && i % 2 == 0).then_some(1);
+            let carriers = Carrying::new(along, 50.0, plate);
+            let later = carried_later(&stands, &missing, &frame, &carriers);
             let mut want = stands.clone();
             while let Some(v) =
                 missing.iter_ones().find(|v| !want.get(*v) && carriers.carries(&want, *v))
@@ -139,6 +168,7 @@ mod tests {
                 want.set(v, true);
             }
             assert_eq!(later, want);
+            assert!(plate.is_none_or(|z| missing.iter_ones().all(|v| v[2] != z || later.get(v))));
             let before = stands.clone();
             for p in patches(&frame, &missing) {
                 let body = p.body(&carriers, &mut stands, &later);

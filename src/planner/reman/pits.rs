@@ -35,12 +35,11 @@ use super::coarse::Coarse;
 use super::cone::{Brick, Cone};
 use super::cutting::{Cutting, cut_along};
 use super::laying::{Way, ways_along};
-use super::patches::{Patch, carried_later, patches};
+use super::patches::{Carrying, Patch, carried_later, patches};
 use super::printing::{Patience, Wanted, leaves_none, print_blocks, print_crumbs};
 use super::round::Attempt;
 use super::setting::Setting;
 use super::{Options, Run, Start, followed};
-use crate::access::CarrierTable;
 use crate::base::{Cancelled, Ctx, DVec2, DVec3, Direction};
 use crate::plan::Job;
 use crate::planner::PlanError;
@@ -193,7 +192,7 @@ struct Terms<'o> {
 struct Digging<'s, 'a> {
     start: &'s Start<'a>,
     ways: Vec<Way<'a>>,
-    carriers: Vec<CarrierTable>,
+    carrying: Vec<Carrying>,
     now: Attempt,
     state: BitGrid,
     patches: Vec<Patch>,
@@ -237,16 +236,15 @@ impl<'s, 'a> Digging<'s, 'a> {
             ways.push(up);
             ways.len() - 1
         });
-        let overhang = setting.job.rules.overhang_deg;
         let share = (PITS_SHARE * setting.job.target.count() as f64) as usize;
         let worth = plain.worth(setting.job).map_or(usize::MAX, |w| w.max(share));
-        let carriers = ways.iter().map(|w| CarrierTable::new(w.direction, overhang)).collect();
+        let carrying = ways.iter().map(|w| Carrying::of(w, setting.job)).collect();
         let state = BitGrid::new(setting.job.frame.dims);
         let (patches, tried) = (Vec::new(), Vec::new());
         let mut digging = Digging {
             start,
             ways,
-            carriers,
+            carrying,
             now: plain.clone(),
             state,
             patches,
@@ -502,15 +500,12 @@ impl<'s, 'a> Digging<'s, 'a> {
         let frame = &self.start.setting.job.frame;
         // What is missing within the skin carries as well.
         let missing = self.start.setting.job.target.minus(&self.state);
-        let ways: Vec<(&Way, &CarrierTable)> = self.ways.iter().zip(&self.carriers).collect();
-        let along = |(way, carriers): &(&Way, &CarrierTable)| {
-            carried_later(&self.state, &missing, frame, (way.direction, carriers))
-        };
-        let later: Vec<BitGrid> = ways.par_iter().map(along).collect();
+        let along = |carrying: &Carrying| carried_later(&self.state, &missing, frame, carrying);
+        let later: Vec<BitGrid> = self.carrying.par_iter().map(along).collect();
         let of_patch = |stands: &mut BitGrid, p: &Patch| {
             ctx.check()?;
-            let along = |(i, carriers): (usize, &CarrierTable)| {
-                let body = p.body(carriers, stands, &later[i]);
+            let along = |(i, carrying): (usize, &Carrying)| {
+                let body = p.body(carrying, stands, &later[i]);
                 // Supports are for what nothing carries straight up: there they reuse more than pits so deep.
                 let body = body.filter(|b| self.supported.is_none() || b.len() == p.voxels.len());
                 match self.supported == Some(i) {
@@ -519,7 +514,7 @@ impl<'s, 'a> Digging<'s, 'a> {
                     false => body.map(|voxels| Patch::of(voxels, frame)),
                 }
             };
-            Ok(self.carriers.iter().enumerate().map(along).collect())
+            Ok(self.carrying.iter().enumerate().map(along).collect())
         };
         self.patches.par_iter().map_init(|| self.state.clone(), of_patch).collect()
     }
@@ -769,6 +764,28 @@ mod tests {
             of_skin += body.voxels.iter().filter(|v| !deficit.get(**v)).count();
         }
         assert!(of_skin > 0);
+    }
+
+    /// What is missing on the base had no body straight up, since nothing stands under it, and got pits from the sides
+    /// alone.
+    #[test]
+    fn the_base_carries_what_is_missing_on_it() {
+        let low = |[x, y, z]: [usize; 3]| block([x, y, z + 1]) && z < 24;
+        let notch = |[x, y, z]: [usize; 3]| x < 13 && (18..22).contains(&y) && z < 4;
+        let frame = Frame { pitch: 1.0, dims: DIMS, origin: DVec3::ZERO };
+        let target = BitGrid::from_fn(DIMS, low);
+        let initial = BitGrid::from_fn(DIMS, |v| low(v) && !notch(v));
+        let job = job_of(frame, initial, target, |_| true);
+        let with_bodies = with_run(&job, |run| {
+            let terms = Terms { rival: None, options: run.options };
+            let digging = Digging::new(run.start, plain(run), terms);
+            let up = digging.ways.iter().position(|w| w.direction == Direction::Z).unwrap();
+            let bodies = digging.all_bodies(run.ctx).unwrap();
+            let is_on_base = |p: &Patch| p.voxels.iter().any(|v| v[2] == 0);
+            let low = digging.patches.iter().zip(&bodies).filter(|(p, _)| is_on_base(p));
+            low.map(|(_, b)| b[up].is_some()).collect::<Vec<bool>>()
+        });
+        assert!(!with_bodies.is_empty() && with_bodies.iter().all(|has| *has), "{with_bodies:?}");
     }
 
     /// A thin layer on what a pit gives up was within the tolerance of it: left standing, it counted as skin
