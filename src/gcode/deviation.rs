@@ -614,6 +614,54 @@ mod tests {
         assert!(d.gouge_mm <= GOUGE_MM, "{}", d.gouge_mm);
     }
 
+    /// Through a hole in a roof that is as wide as the cutter, and is closed again, a shaft goes down beside a wall. By the
+    /// middles of voxels the cutter reaches over the wall's face by 0.2 mm; that much off it the hole's rim was in its way
+    /// by half a voxel, so it went down all the same.
+    #[test]
+    fn through_a_hole_as_wide_as_the_cutter_no_wall_is_gouged() {
+        const AXIS: [f64; 2] = [12.2, 10.2];
+        const WALL: f64 = AXIS[0] - 1.3;
+        fn off(p: DVec3, aside: f64) -> f64 {
+            (p.x - AXIS[0] - aside).hypot(p.y - AXIS[1])
+        }
+        fn is_roof(p: DVec3) -> bool {
+            p.z > 9.2
+        }
+        fn is_hole(p: DVec3) -> bool {
+            is_roof(p) && p.z < 12.0 && (off(p, 0.0) < 1.5 || off(p, 0.2) < 1.5)
+        }
+        let block = |p: DVec3| p.x > 2.0 && p.x < 22.0 && p.y > 2.0 && p.y < 18.0 && p.z < 12.0;
+        let shaft: fn(DVec3) -> bool = |p| {
+            let end = 5.0 + 1.5 - (2.25 - off(p, 0.0).powi(2)).max(0.0).sqrt();
+            is_hole(p) || off(p, 0.0) < 1.5 && p.z > end
+        };
+        let beside: fn(DVec3) -> bool = |p| p.x > WALL && p.z > 3.2 && !is_roof(p);
+        let steps = [
+            (StepKind::Subtractive, DVec3::Z, shaft),
+            (StepKind::Subtractive, DVec3::X, beside),
+            (StepKind::Additive, DVec3::Z, is_hole as fn(DVec3) -> bool),
+        ];
+        let mut w = world("generic-5axis", 0.4, DVec3::new(24.0, 20.0, 14.0), block, &steps);
+        w.plan.steps[0].tool = "ball-3x30".into();
+        let part = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
+        w.job.target_mesh = TriMesh::joined(&[
+            part([2.0, 2.0, 0.0], [22.0, 18.0, 3.2]),
+            part([2.0, 2.0, 3.2], [WALL, 18.0, 9.2]),
+            part([2.0, 2.0, 9.2], [22.0, 18.0, 12.0]),
+        ]);
+        w.job.initial_mesh = part([2.0, 2.0, 0.0], [22.0, 18.0, 12.0]);
+        let d = measured(&w);
+        let wall = |f: &&Facet| f.normal.x > 0.9 && (f.corners[0].x - WALL).abs() < 1e-6;
+        let deepest = d.facets.iter().filter(wall).map(|f| -f.off_mm).fold(0.0, f64::max);
+        assert!(deepest <= GOUGE_MM, "{deepest}");
+        // Beads come up to the roof again, within what is between their ends.
+        assert!(d.gouge_mm < 0.1, "{}", d.gouge_mm);
+        // The shaft is cut.
+        let paths = for_unverified(&w.job, &w.plan, &Ctx::quiet()).unwrap();
+        let covered = paths.all()[0].figures.coverage;
+        assert!(covered > 0.98, "{covered}");
+    }
+
     /// Along an upright edge that runs between the voxels, both the mesh's pieces that voxels had
     /// lost and straight ways around it cost up to 0.1 mm of the edge.
     #[test]

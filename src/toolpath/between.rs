@@ -49,6 +49,8 @@ pub(super) struct Between<'a> {
     pub slack: f64,
     /// How deep the edge may go, into the meshes less than its radius.
     pub nick: Nick,
+    /// What shank and holder keep off where it is, where `lowest` does not know it for the cells around a tip.
+    pub holder_off: Option<&'a Free>,
 }
 
 impl Between<'_> {
@@ -162,7 +164,10 @@ impl Between<'_> {
         // Deeper than it must where it may, for the rounding of what is made of it.
         let lowest = self.exact.lowest_nicked(at, nick, self.lowest);
         let tip = at.extend(lowest.max(most - self.slack));
-        self.free.is_clear(self.tool, tip).then_some(tip)
+        let is_held_off = |free: &Free| free.clears_holder(self.tool, tip);
+        let is_clear =
+            self.free.is_clear(self.tool, tip) && self.holder_off.is_none_or(is_held_off);
+        is_clear.then_some(tip)
     }
 
     /// How far apart places are, mm.
@@ -245,6 +250,7 @@ mod tests {
             cell: free.window.s,
             slack: 0.25,
             nick: nick(deep),
+            holder_off: None,
         };
         let inside: Vec<DVec3> =
             (8..40).map(|k| DVec3::new(f64::from(k) * 0.5 + 0.25, 10.25, 6.75)).collect();
@@ -296,7 +302,9 @@ mod tests {
             let free = if passing > 0.0 { &stays } else { &free };
             let nick = Nick { meshes, passing };
             let (exact, lowest, cell) = (&exact, &lowest, free.window.s);
-            let between = Between { exact, lowest, free, tool, cell, slack: 0.25, nick };
+            let holder_off = None;
+            let between =
+                Between { exact, lowest, free, tool, cell, slack: 0.25, nick, holder_off };
             between.tips(&beside_the_wall, &Ctx::quiet()).unwrap()
         };
         assert!(tips(0.045, 0.0).is_empty());

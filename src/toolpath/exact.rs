@@ -116,10 +116,10 @@ impl Exact {
         Ok(Some(exact))
     }
 
-    /// For tips between the lattice's cells that may pass what goes later: over the target's surface alone, to its rim.
+    /// For tips between the lattice's cells that may pass what goes later: over the target's surface alone, to its `rim`.
     /// Of what goes later the middles of voxels are kept, whether they have a surface or not.
-    pub fn past(&self, work: &Work, free: &Free) -> Exact {
-        let told = [Some((Rim::Parted, &work.surfaces[0])), None];
+    pub fn past(&self, work: &Work, free: &Free, rim: Rim) -> Exact {
+        let told = [Some((rim, &work.surfaces[0])), None];
         Exact::standing(work, free, (self.end, self.bound.clone()), told)
     }
 

@@ -201,11 +201,21 @@ impl Free {
 
     /// Whether the edge of a tool at a tip holds no obstacle, each where it is; shank and holder are not looked at.
     pub fn is_clear(&self, tool: &Tool, tip: DVec3) -> bool {
-        let columns =
-            self.columns.get_or_init(|| Columns::over(self.obstacles.lattice, &self.points));
         let most = tip.z + SAME_HEIGHT_MM;
         let lower = |rho: f64| tool.active_lower_surface(rho);
-        columns.lift(tip.truncate(), tool.active_radius(), lower, [most, most]) <= most
+        self.columns().lift(tip.truncate(), tool.active_radius(), lower, [most, most]) <= most
+    }
+
+    /// Whether shank and holder of a tool at a tip hold no obstacle, each where it is; the edge is not looked at.
+    pub fn clears_holder(&self, tool: &Tool, tip: DVec3) -> bool {
+        let most = tip.z + SAME_HEIGHT_MM;
+        let edge = tool.active_radius() + SAME_HEIGHT_MM;
+        let lower = |rho: f64| tool.lower_surface(rho.max(edge));
+        self.columns().lift(tip.truncate(), tool.max_radius(), lower, [most, most]) <= most
+    }
+
+    fn columns(&self) -> &Columns {
+        self.columns.get_or_init(|| Columns::over(self.obstacles.lattice, &self.points))
     }
 
     /// An image as large as the obstacles', without any.
@@ -235,7 +245,7 @@ struct Stage<'a> {
     /// Heights over the meshes, where the job has them.
     meshes: Option<Exact>,
     /// The same where what goes later may be passed, and all that is not to go.
-    past: OnceCell<(Exact, Free)>,
+    past: [OnceCell<(Exact, Free)>; 2],
     /// What is still to cut.
     stock: Stock,
     /// Lowest tip height cut so far, per cell; +∞ where nothing was.
@@ -298,7 +308,7 @@ impl<'a> Stage<'a> {
             fine,
             exact,
             meshes,
-            past: OnceCell::new(),
+            past: Default::default(),
             done: vec![f32::INFINITY; lattice.cells()],
             work,
             process,

@@ -50,6 +50,8 @@ pub enum Rim {
     Kept,
     /// Pieces of which the middle stands: what goes later, beside which something else is to be cut.
     Parted,
+    /// Pieces of which the middle stands with half a voxel around it: as far as the middles of the outermost voxels.
+    Inner,
 }
 
 /// Pieces of a mesh on whose inner side `solid`, what stands of the `whole`, has material, of those that are near: no
@@ -73,15 +75,18 @@ pub fn standing(
             let Some(normal) = mesh.area_normal(t).try_normalize() else { return Vec::new() };
             let aside = normal * (ASIDE_PITCH * h / f64::from(LOOKS));
             // Either side: single triangles may face the wrong way.
-            let stands = |p: DVec3| {
+            let behind = |p: DVec3| -> Option<bool> {
                 let at = |by: f64| frame.voxel_at(p + aside * by);
-                for k in (1..=LOOKS).map(f64::from) {
+                (1..=LOOKS).map(f64::from).find_map(|k| {
                     let near = [at(-k), at(k)].into_iter().flatten().filter(|v| whole.get(*v));
-                    if let Some(stands) = near.map(|v| solid.get(v)).reduce(|a, b| a || b) {
-                        return stands;
-                    }
-                }
-                lost(p, frame, solid, whole)
+                    near.map(|v| solid.get(v)).reduce(|a, b| a || b)
+                })
+            };
+            let (u, v) = normal.any_orthonormal_pair();
+            let stands = |p: DVec3| {
+                let is_gone = |by: DVec3| behind(p + by * (h / 2.0)) == Some(false);
+                behind(p).unwrap_or_else(|| lost(p, frame, solid, whole))
+                    && (rim != Rim::Inner || ![u, -u, v, -v].into_iter().any(is_gone))
             };
             let may_stand = |t: &[DVec3; 3]| {
                 let [a, b, c] = *t;
@@ -121,7 +126,7 @@ impl Judge<'_> {
         let [a, b, c] = *t;
         let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
         let middle = (a + b + c) / 3.0;
-        if longest <= self.least && self.rim == Rim::Parted {
+        if longest <= self.least && self.rim != Rim::Kept {
             return (self.stands)(middle);
         }
         if !(self.may_stand)(t) {
@@ -132,7 +137,7 @@ impl Judge<'_> {
             let pull = |p: DVec3| p.lerp(middle, 0.1);
             let found = [a, b, c, d, e, f, middle].map(|p| (self.stands)(pull(p)));
             // Of a larger piece the rim may cross a part that no point was asked of.
-            let is_told = self.rim == Rim::Parted || found[0] || longest <= self.least;
+            let is_told = self.rim != Rim::Kept || found[0] || longest <= self.least;
             if is_told && found.iter().all(|s| *s == found[0]) {
                 return found[0];
             }
@@ -273,6 +278,16 @@ mod tests {
         };
         let all: f64 = parted.iter().map(beyond).sum();
         assert!(all < 0.3, "{all}");
+        // To the middles of the outermost voxels that is half a voxel less all along the rim.
+        let inner = found(Rim::Inner);
+        let nearest = |all: &[[DVec3; 3]]| -> f64 {
+            let off = |t: &[DVec3; 3]| off_the_pit((t[0] + t[1] + t[2]) / 3.0);
+            all.iter().map(off).fold(f64::INFINITY, f64::min)
+        };
+        assert!(nearest(&inner) > nearest(&parted) + 0.3 * frame.pitch, "{}", nearest(&inner));
+        let round = std::f64::consts::TAU * PIT_MM * frame.pitch / 2.0;
+        let lost = area(&parted) - area(&inner);
+        assert!(lost > 0.8 * round && lost < 2.0 * round, "{lost} of {round}");
         let (kept, parted) = (area(&kept), area(&parted));
         assert!(kept > parted && kept < parted + 12.0, "{kept} {parted}");
     }

@@ -14,13 +14,14 @@ use super::super::GOUGE_MM;
 use super::super::between::{Between, cuts};
 use super::super::cells::Cells;
 use super::super::close_tip::Stays;
-use super::super::exact::Nick;
+use super::super::exact::{Lowest, Nick};
 use super::super::image::{Image, Lattice, Profile};
 use super::super::moves::{Move, MoveKind};
 use super::super::touch::{Touch, bounds};
 use super::{FAR_CELLS, Free, SAME_HEIGHT_MM, Stage, within};
 use crate::base::{Cancelled, Ctx, DVec3};
 use crate::machine::Tool;
+use crate::voxel::Rim;
 use rayon::prelude::*;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -37,6 +38,9 @@ const FEWEST: usize = 256;
 /// program's check finds those of the whole of it.
 const LUMP_SHARE: f64 = 0.9;
 
+/// So many voxels that are left so deep make a lump: as many as the program's check asks for.
+const LEAST_LUMP: usize = 8;
+
 /// How deep a cutter may go into a surface to get at what stands in a crevice, mm: less than what
 /// counts as a gouge, rounding of three decimals included.
 const NICK_MM: f64 = 0.045;
@@ -52,6 +56,16 @@ const PASSING_SHARE: f64 = 0.8;
 
 /// Tips on a way are looked at so far apart, in pitches.
 const APART_PITCH: f64 = 0.5;
+
+/// What tips between cells keep off.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Nearness {
+    /// With shank and holder what the cells around a tip do, and the target's surface to the voxels' faces.
+    ToACell,
+    /// What is where it is, and the target's surface to the middles of its rim's voxels, as of what has no surface: beyond
+    /// them deposits come up to it again. In a pit as wide as its cutter there is no other place.
+    AsItIs,
+}
 
 /// Voxels of the region that are not cut yet.
 struct Left {
@@ -74,7 +88,7 @@ impl Stage<'_> {
         self.cut_over(&mut left, &exact)?;
         counts.push(left.voxels.len());
         if self.meshes.is_some() {
-            self.between_cells(&mut left, Nick::NONE)?;
+            self.between_cells(&mut left, Nick::NONE, Nearness::ToACell)?;
             counts.push(left.voxels.len());
             self.for_a_gouge(&mut left, &exact)?;
             counts.push(left.voxels.len());
@@ -97,25 +111,35 @@ impl Stage<'_> {
 
     /// Cuts what the cells' tips over the meshes left from tips between them, as far as there are any that go no
     /// deeper than a nick into the meshes.
-    fn between_cells(&mut self, left: &mut Left, nick: Nick) -> Result<(), Cancelled> {
+    fn between_cells(
+        &mut self,
+        left: &mut Left,
+        nick: Nick,
+        nearness: Nearness,
+    ) -> Result<(), Cancelled> {
         let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
-        let Some(meshes) = self.meshes.as_ref().filter(|_| !left.voxels.is_empty()) else {
-            return Ok(());
-        };
+        let is_as_it_is = nearness == Nearness::AsItIs;
+        let asks = !left.voxels.is_empty() && (nick.passing > 0.0 || !is_as_it_is);
+        let Some(meshes) = self.meshes.as_ref().filter(|_| asks) else { return Ok(()) };
         let tool = work.tool;
         let (exact, free) = match nick.passing > 0.0 {
             true => {
-                let (exact, free) = self.past.get_or_init(|| {
+                let (exact, free) = self.past[usize::from(is_as_it_is)].get_or_init(|| {
                     // What passes is among the obstacles that the meshes are asked besides, nicked.
                     let stays = work.after.and(&work.job.target);
                     let free = Free::around(work, &stays, tool.active_radius());
-                    (meshes.past(work, &self.free), free)
+                    let rim = if is_as_it_is { Rim::Inner } else { Rim::Parted };
+                    (meshes.past(work, &self.free, rim), free)
                 });
                 (exact, free)
             }
             false => (meshes, &self.free),
         };
-        let between = Between { exact, lowest, free, tool, cell, slack: left.slack, nick };
+        let edge_alone = Lowest::of_voxels(Image::empty(self.lattice));
+        let (off, holder_off) =
+            if is_as_it_is { (&edge_alone, Some(&self.free)) } else { (lowest, None) };
+        let slack = left.slack;
+        let between = Between { exact, lowest: off, free, tool, cell, slack, nick, holder_off };
         let tips = between.tips(&left.voxels, work.ctx)?;
         let touch = Touch { work, exact, lowest, stock: self.process.stock };
         let ways = touch.joined(tips, &|tip| free.is_clear(tool, tip))?;
@@ -139,8 +163,10 @@ impl Stage<'_> {
         let plain = self.free.heights(self.work.tool, 0.0, 0.0, self.work.ctx)?.data;
         let all = self.work.step.region.count();
         if left.share_of(all) < LEAST_SHARE {
-            for nick in self.nicks() {
-                self.between_cells(left, nick)?;
+            let deeper = self.nicks().filter(|nick| nick.meshes > GOUGE_MM);
+            let deeper = deeper.map(|nick| (Nearness::ToACell, nick));
+            for (nearness, nick) in self.without_gouge().chain(deeper) {
+                self.between_cells(left, nick, nearness)?;
                 if left.share_of(all) >= LEAST_SHARE {
                     break;
                 }
@@ -160,14 +186,24 @@ impl Stage<'_> {
             if share == LUMP_SHARE {
                 // Deeper nicks are no better than the voxels' own heights, which come next: on a bracket these cost
                 // 0.06 mm, and nicks 0.1.
-                for nick in self.nicks().filter(|nick| nick.meshes <= GOUGE_MM) {
-                    self.between_cells(&mut lumps, nick)?;
+                for (nearness, nick) in self.without_gouge() {
+                    self.between_cells(&mut lumps, nick, nearness)?;
                 }
             }
-            self.cut_over(&mut lumps, free)?;
+            // The program's check lets fewer pass than it calls a lump: less than a gouge all along the way to them.
+            if share != LUMP_SHARE || lumps.voxels.len() >= LEAST_LUMP {
+                self.cut_over(&mut lumps, free)?;
+            }
         }
         self.take_off(left);
         Ok(())
+    }
+
+    /// Nicks that are no gouge, first from places with all the room that cells ask for.
+    fn without_gouge(&self) -> impl Iterator<Item = (Nearness, Nick)> + use<> {
+        let nicks: Vec<Nick> = self.nicks().filter(|nick| nick.meshes <= GOUGE_MM).collect();
+        let from = [Nearness::ToACell, Nearness::AsItIs];
+        from.into_iter().flat_map(move |from| nicks.clone().into_iter().map(move |n| (from, n)))
     }
 
     fn nicks(&self) -> impl Iterator<Item = Nick> + use<> {
