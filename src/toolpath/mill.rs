@@ -77,6 +77,8 @@ pub(super) struct Work<'a> {
     pub after: &'a BitGrid,
     /// Pedestal and table.
     pub fixed: &'a [DVec3],
+    /// What the steps before laid, whether it stands or not.
+    pub laid: &'a BitGrid,
     /// Voxels at the surface of M* and at that of M.
     pub surfaces: &'a [BitGrid; 2],
     pub ctx: &'a Ctx,

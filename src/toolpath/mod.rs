@@ -214,6 +214,9 @@ fn step_path(
     ctx: &Ctx,
 ) -> Result<Toolpath, ToolpathError> {
     let step = &plan.steps[i];
+    let mut laid = BitGrid::new(job.frame.dims);
+    let before = plan.steps[..i].iter().filter(|s| s.kind == StepKind::Additive);
+    before.for_each(|s| laid.union_with(&s.region));
     let no_tool = || ToolpathError::NoTool { step: i, tool: step.tool.clone() };
     let tool: &Tool = job.tool(&step.tool).ok_or_else(no_tool)?;
     let work = Work {
@@ -224,6 +227,7 @@ fn step_path(
         before: &replay.states[i],
         after: &replay.states[i + 1],
         fixed: &replay.fixed[i],
+        laid: &laid,
         surfaces,
         ctx,
     };

@@ -124,6 +124,7 @@ mod tests {
             before: &none,
             after: &none,
             fixed: &[],
+            laid: &none,
             surfaces: &[none.clone(), none.clone()],
             ctx: &Ctx::quiet(),
         };

@@ -112,6 +112,8 @@ pub(super) fn first_step<'a>(
         before: &replay.states[0],
         after: &replay.states[1],
         fixed: &replay.fixed[0],
+        // What the initial part does not have is laid.
+        laid: &replay.states[0],
         surfaces,
         ctx,
     }
@@ -378,6 +380,41 @@ fn a_slot_between_two_rows_of_the_lattice_is_cut_without_a_gouge() {
         low += usize::from(tip.z < 5.0);
     }
     assert!(low > 20, "{low}");
+}
+
+/// Of supports in a slot hardly wider than the cutter one side was left to the middle of its beads: voxels that the edge
+/// comes near to count as cut.
+#[test]
+fn supports_in_a_slot_are_cut_to_both_sides() {
+    const SLOT: [f64; 2] = [9.39, 11.01];
+    let walls: Part = |p| block(p) && !(p.y > SLOT[0] && p.y < SLOT[1] && p.z > 5.0);
+    let fill: Part =
+        |p| p.y > SLOT[0] && p.y < SLOT[1] && p.x > 4.0 && p.x < 20.0 && p.z > 5.0 && p.z < 8.0;
+    let steps = [(StepKind::Additive, DVec3::Z, fill), (StepKind::Subtractive, DVec3::Z, fill)];
+    let mut w = world("generic-5axis", 0.4, DVec3::new(24.0, 20.0, 14.0), walls, &steps);
+    w.plan.steps[1].tool = "ball-1.4x24".into();
+    let part = |low: [f64; 3], high: [f64; 3]| TriMesh::cuboid(low.into(), high.into());
+    let mesh = TriMesh::joined(&[
+        part([2.0, 2.0, 0.0], [22.0, 18.0, 5.0]),
+        part([2.0, 2.0, 5.0], [22.0, SLOT[0], 12.0]),
+        part([2.0, SLOT[1], 5.0], [22.0, 18.0, 12.0]),
+    ]);
+    (w.job.initial_mesh, w.job.target_mesh) = (mesh.clone(), mesh);
+    let path = &paths(&w)[1];
+    let tool = w.job.cutters.iter().find(|t| t.name == path.tool).unwrap();
+    let plane = path.direction.image_plane();
+    let seen = |p: DVec3| plane.across(p).extend(plane.height(p));
+    let moves = path.moves.windows(2).filter(|m| m[1].kind == MoveKind::Cut);
+    let tips: Vec<DVec3> = moves
+        .flat_map(|m| (0..=8).map(move |k| m[0].tip.lerp(m[1].tip, f64::from(k) / 8.0)))
+        .map(seen)
+        .collect();
+    let cells = BitGrid::from_fn(w.job.frame.dims, |v| fill(w.job.frame.center(v)));
+    let middles = cells.iter_ones().map(|v| w.job.frame.center(v)).filter(|p| p.z > 6.0);
+    let middles: Vec<DVec3> = middles.map(seen).collect();
+    let is_cut = |p: &&DVec3| tips.iter().any(|t| between::cuts(tool, *t, **p, 0.01));
+    let cut = middles.iter().filter(is_cut).count();
+    assert!(cut == middles.len() && cut > 300, "{cut} of {}", middles.len());
 }
 
 /// Supports beside a face of the initial part were taken for its solid, whose face they hide: nothing kept the

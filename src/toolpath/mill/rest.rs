@@ -21,7 +21,7 @@ use super::super::touch::{Touch, bounds};
 use super::{FAR_CELLS, Free, SAME_HEIGHT_MM, Stage, within};
 use crate::base::{Cancelled, Ctx, DVec3};
 use crate::machine::Tool;
-use crate::voxel::Rim;
+use crate::voxel::{BitGrid, Rim};
 use rayon::prelude::*;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -82,7 +82,7 @@ impl Stage<'_> {
     pub(super) fn rest(&mut self) -> Result<f64, Cancelled> {
         let all = self.work.step.region.count();
         let half = self.work.frame.pitch / 2.0 + SAME_HEIGHT_MM;
-        let mut left = self.left(half)?;
+        let mut left = self.left(&self.work.step.region, half)?;
         let exact = std::mem::take(&mut self.exact.tips.data);
         let mut counts = vec![left.voxels.len()];
         self.cut_over(&mut left, &exact)?;
@@ -97,7 +97,32 @@ impl Stage<'_> {
         if all <= FEW && left.share_of(all) < LEAST_SHARE && left.voxels.len() <= FEWEST {
             self.by_exact_distances(&mut left)?;
         }
+        if self.meshes.is_some() {
+            self.through_supports(&exact)?;
+        }
         Ok(left.share_of(all))
+    }
+
+    /// Cuts to their middles what stands of supports alone, as far as that is no gouge: half of a bead that is left is a
+    /// bead outside the target, where half of a voxel of stock beside it is within what finishing leaves.
+    fn through_supports(&mut self, exact: &[f32]) -> Result<(), Cancelled> {
+        let work = self.work;
+        let supports = work.step.region.and(work.laid).minus(&work.job.target);
+        if supports.is_empty() {
+            return Ok(());
+        }
+        let mut left = self.left(&supports, SAME_HEIGHT_MM)?;
+        let mut counts = vec![left.voxels.len()];
+        self.cut_over(&mut left, exact)?;
+        counts.push(left.voxels.len());
+        self.between_cells(&mut left, Nick::NONE, Nearness::ToACell)?;
+        for (nearness, nick) in self.without_gouge() {
+            self.between_cells(&mut left, nick, nearness)?;
+        }
+        counts.push(left.voxels.len());
+        let all = supports.count();
+        tracing::debug!(tool = work.tool.name, all, left = ?counts, "supports");
+        Ok(())
     }
 
     /// Cuts what is left from the nearest cells, with lowest tips `free`.
@@ -228,10 +253,10 @@ impl Stage<'_> {
         Ok(())
     }
 
-    /// What of the region the moves so far did not cut.
-    fn left(&self, slack: f64) -> Result<Left, Cancelled> {
+    /// What of some of the region the moves so far did not cut.
+    fn left(&self, some: &BitGrid, slack: f64) -> Result<Left, Cancelled> {
         let (l, work) = (self.lattice, self.work);
-        let region = work.step.region.iter_ones().map(|v| self.seen(work.frame.center(v)));
+        let region = some.iter_ones().map(|v| self.seen(work.frame.center(v)));
         let region: Vec<DVec3> = region.collect();
         let tips = self.cut_tips(&self.moves, l.s / 2.0);
         let voxels = hardly_cut(&region, tips, (l, work.tool, slack), work.ctx)?;
