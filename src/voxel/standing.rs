@@ -1,8 +1,8 @@
 //! Which pieces of a mesh still stand, where voxels tell what of its solid does.
 //!
 //! Method: a triangle is divided until all of a piece stands or nothing of it does, by the nearest voxel on either side
-//! of it; large pieces near no voxel that stands are not divided at all. Along the rim of what stands either half a
-//! voxel more counts as standing, or what a voxel's middle tells.
+//! of it; large pieces near no voxel that stands are not divided at all. Along the rim of what stands half a
+//! voxel more counts as standing, or what the nearest voxel tells, or only what lies within the outermost voxels' middles.
 //!
 //! Guarantees: what is found stands to a voxel, on whichever side of a single triangle the solid is; with its rim, all
 //! that stands is found but for islands under a quarter of a voxel wide. Not guaranteed: how far beyond the rim, within a

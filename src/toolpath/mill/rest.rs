@@ -4,8 +4,9 @@
 //! the program's check asks it; whatever then cuts some takes them off the list. First go the lattice's tips without
 //! margin, over the meshes where the job has them, then tips between its cells. What the meshes leave no room for,
 //! the voxels may, which is what the plan was made on: see [`Stage::for_a_gouge`]; what later steps cut is entered by
-//! half a pitch before the target is nicked deeper. A few voxels of a small
-//! region each get a tip by exact distances.
+//! half a pitch before the target is nicked deeper, and before that becomes a gouge places are tried that have just the room they need
+//! (see [`Nearness`]). A few voxels of a small region each get a tip by exact distances. Supports are cut to the middles of their
+//! voxels, wherever that is no gouge.
 //!
 //! Guarantees: what is off the list was cut, by tips a quarter of a voxel apart on its way. Not guaranteed: an
 //! empty list.
