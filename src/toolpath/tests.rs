@@ -112,7 +112,7 @@ pub(super) fn first_step<'a>(
         before: &replay.states[0],
         after: &replay.states[1],
         fixed: &replay.fixed[0],
-        // What the initial part does not have is laid.
+        // Before the first step nothing was; no one who asks about it here looks at what.
         laid: &replay.states[0],
         surfaces,
         ctx,

@@ -145,6 +145,7 @@ impl Stage<'_> {
     ) -> Result<(), Cancelled> {
         let (work, lowest, cell) = (self.work, &self.exact, self.lattice.s);
         let is_as_it_is = nearness == Nearness::AsItIs;
+        // Where nothing may be passed, a place with no more than the room it needs is one between the cells as well.
         let asks = !left.voxels.is_empty() && (nick.passing > 0.0 || !is_as_it_is);
         let Some(meshes) = self.meshes.as_ref().filter(|_| asks) else { return Ok(()) };
         let tool = work.tool;
