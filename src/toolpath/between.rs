@@ -197,7 +197,7 @@ pub(super) fn cuts(tool: &Tool, tip: DVec3, voxel: DVec3, slack: f64) -> bool {
 }
 
 /// The highest tip that cuts a voxel from `rho` mm aside; −∞ from too far.
-fn highest(tool: &Tool, voxel: DVec3, rho: f64, slack: f64) -> f64 {
+pub(super) fn highest(tool: &Tool, voxel: DVec3, rho: f64, slack: f64) -> f64 {
     voxel.z + slack - tool.active_lower_surface((rho - slack).max(0.0))
 }
 

@@ -12,7 +12,7 @@
 //! empty list.
 
 use super::super::GOUGE_MM;
-use super::super::between::{Between, cuts};
+use super::super::between::{Between, cuts, highest};
 use super::super::cells::Cells;
 use super::super::close_tip::Stays;
 use super::super::exact::{Lowest, Nick};
@@ -20,7 +20,7 @@ use super::super::image::{Image, Lattice, Profile};
 use super::super::moves::{Move, MoveKind};
 use super::super::touch::{Touch, bounds};
 use super::{FAR_CELLS, Free, SAME_HEIGHT_MM, Stage, within};
-use crate::base::{Cancelled, Ctx, DVec3};
+use crate::base::{Cancelled, Ctx, DVec2, DVec3};
 use crate::machine::Tool;
 use crate::voxel::{BitGrid, Rim};
 use rayon::prelude::*;
@@ -57,6 +57,10 @@ const PASSING_SHARE: f64 = 0.8;
 
 /// Tips on a way are looked at so far apart, in pitches.
 const APART_PITCH: f64 = 0.5;
+
+/// Tips are looked through by cells so many to a cutter's reach, no smaller than this, mm.
+const CELLS_PER_REACH: f64 = 8.0;
+const LEAST_CELL_MM: f64 = 0.2;
 
 /// What tips between cells keep off.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -278,44 +282,8 @@ impl Stage<'_> {
         if voxels.is_empty() {
             return voxels;
         }
-        let reach = self.work.tool.active_radius() + slack;
-        let (lo, hi) = bounds(voxels.iter().map(|p| p.truncate()));
-        let cells = Cells::over(lo - reach, hi + reach, reach.max(1.0));
-        let mut waiting: Vec<Vec<usize>> = vec![Vec::new(); cells.count()];
-        let mut tops = vec![f64::NEG_INFINITY; cells.count()];
-        for (i, p) in voxels.iter().enumerate() {
-            if let Some(c) = cells.at(p.truncate()) {
-                waiting[c].push(i);
-                tops[c] = tops[c].max(p.z);
-            }
-        }
-        // The edge reaches from a tip's cell to those beside it, and nowhere below the tip.
-        let around = |c: usize| {
-            let [i, j] = [c % cells.n[0], c / cells.n[0]].map(|x| x as i64);
-            let beside = (-1..=1).flat_map(|b| (-1..=1).map(move |a| [a, b]));
-            beside.filter_map(move |[a, b]| cells.index([i + a, j + b]))
-        };
-        let highest = |c: usize| around(c).map(|n| tops[n]).fold(f64::NEG_INFINITY, f64::max);
-        let highest: Vec<f64> = (0..cells.count()).map(highest).collect();
-        let mut tips: Vec<Vec<DVec3>> = vec![Vec::new(); cells.count()];
-        for tip in self.cut_tips(moves, APART_PITCH * self.work.frame.pitch) {
-            let at = cells.at(tip.truncate()).filter(|c| tip.z <= highest[*c] + slack);
-            at.into_iter().for_each(|c| tips[c].push(tip));
-        }
-        waiting.par_iter_mut().enumerate().filter(|(_, w)| !w.is_empty()).for_each(
-            |(c, waiting)| {
-                let low = |tip: &&DVec3| tip.z <= tops[c] + slack;
-                for tip in around(c).flat_map(|n| &tips[n]).filter(low) {
-                    waiting.retain(|i| !cuts(self.work.tool, *tip, voxels[*i], slack));
-                    if waiting.is_empty() {
-                        return;
-                    }
-                }
-            },
-        );
-        let mut left: Vec<usize> = waiting.into_iter().flatten().collect();
-        left.sort_unstable();
-        left.into_iter().map(|i| voxels[i]).collect()
+        let tips = self.cut_tips(moves, APART_PITCH * self.work.frame.pitch);
+        not_cut_from(tips, voxels, self.work.tool, slack)
     }
 
     /// Cuts points, as (u, v, height), each from the nearest cell over which the tip may
@@ -393,6 +361,54 @@ fn nicks(tool: &Tool, pitch: f64, tolerance: f64) -> impl Iterator<Item = Nick> 
     alone.into_iter().chain(nicks).filter(move |nick| nick.meshes <= most)
 }
 
+/// Those of some voxels that none of some tips cuts, in their order; all as (u, v, height).
+fn not_cut_from(
+    tips: impl Iterator<Item = DVec3>,
+    voxels: Vec<DVec3>,
+    tool: &Tool,
+    slack: f64,
+) -> Vec<DVec3> {
+    let reach = tool.active_radius() + slack;
+    let (lo, hi) = bounds(voxels.iter().map(|p| p.truncate()));
+    let (lo, hi) = (lo - reach, hi + reach);
+    let top = voxels.iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max);
+    let near = |tip: &DVec3| {
+        let at = tip.truncate();
+        // The edge reaches nowhere below its tip.
+        tip.z <= top + slack && at.cmpge(lo).all() && at.cmple(hi).all()
+    };
+    let tips: Vec<DVec3> = tips.filter(near).collect();
+    if tips.is_empty() {
+        return voxels;
+    }
+    let (lo, hi) = bounds(tips.iter().map(|p| p.truncate()));
+    let cells = Cells::over(lo, hi, (reach / CELLS_PER_REACH).max(LEAST_CELL_MM));
+    // Those of a cell after one another, the lowest first.
+    let of_cell = |tip: DVec3| cells.at(tip.truncate()).map(|c| (c, tip));
+    let mut tips: Vec<(usize, DVec3)> = tips.into_iter().filter_map(of_cell).collect();
+    tips.par_sort_by(|a, b| a.0.cmp(&b.0).then(a.1.z.total_cmp(&b.1.z)));
+    let mut starts = vec![0; cells.count() + 1];
+    tips.iter().for_each(|(c, _)| starts[c + 1] += 1);
+    (0..cells.count()).for_each(|c| starts[c + 1] += starts[c]);
+    let is_cut = |p: &DVec3| {
+        let at = p.truncate();
+        cells.within(at - reach, at + reach).any(|c| {
+            let tips = &tips[starts[c]..starts[c + 1]];
+            if tips.first().is_none_or(|(_, tip)| tip.z > p.z + slack) {
+                return false;
+            }
+            // Lower surfaces never fall outward: no tip is nearer than the nearest place of its cell.
+            let [i, j] = [c % cells.n[0], c / cells.n[0]].map(|x| x as f64);
+            let low = cells.origin + DVec2::new(i, j) * cells.side;
+            let nearest = at.clamp(low, low + cells.side).distance(at) - SAME_HEIGHT_MM;
+            let highest = highest(tool, *p, nearest, slack);
+            let mut low = tips.iter().map(|(_, tip)| *tip).take_while(|tip| tip.z <= highest);
+            low.any(|tip| cuts(tool, tip, *p, slack))
+        })
+    };
+    voxels.into_par_iter().filter(|p| !is_cut(p)).collect()
+}
+
 /// Those of some points that the lowest tip over each cell does not cut: nearly all that others cut is cut by
 /// these. All as (u, v, height); a point is cut that comes within `slack` of the edge.
 fn hardly_cut(
@@ -450,7 +466,7 @@ impl Left {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::base::{DVec2, Direction, rng};
+    use crate::base::{Direction, rng};
     use crate::machine::{Machine, ToolKind};
     use crate::voxel::Frame;
     use rand::RngExt as _;
@@ -466,6 +482,35 @@ mod tests {
         }
         let finest = tools.iter().find(|t| t.is_tapered() && t.tip_radius() < 0.4).unwrap();
         assert!(nicks(finest, 0.5, 0.75).all(|n| n.meshes <= 0.15));
+    }
+
+    /// Held equal to asking every tip about every voxel.
+    #[test]
+    fn what_no_tip_cuts_is_what_each_tip_by_itself_leaves() {
+        let machine = Machine::builtin("generic-5axis").unwrap();
+        let mut rng = rng(3, 0);
+        let mut some = |n: usize, size: [f64; 3]| -> Vec<DVec3> {
+            let mut at = |k: usize| rng.random_range(0.0..size[k]);
+            (0..n).map(|_| DVec3::new(at(0), at(1), at(2))).collect()
+        };
+        let (mut cut, mut left) = (0, 0);
+        for tool in machine.tools_of(ToolKind::Subtractive) {
+            for n in [0, 1, 40, 400] {
+                let voxels = some(300, [12.0, 9.0, 4.0]);
+                let mut tips = some(n, [14.0, 8.0, 6.0]);
+                // On the rims of cells too.
+                tips.extend(
+                    voxels.iter().take(n / 10).map(|p| p + DVec3::X * tool.active_radius()),
+                );
+                let asked = voxels.iter().copied();
+                let uncut: Vec<DVec3> =
+                    asked.filter(|p| !tips.iter().any(|t| cuts(&tool, *t, *p, 0.13))).collect();
+                left += uncut.len();
+                cut += voxels.len() - uncut.len();
+                assert_eq!(not_cut_from(tips.into_iter(), voxels, &tool, 0.13), uncut);
+            }
+        }
+        assert!(cut > 1000 && left > 1000, "{cut} {left}");
     }
 
     /// Along a tilted direction points lie beside the middles of their cells as tips do. Where only the tips' places were
