@@ -133,8 +133,8 @@ pub fn choose(
     report.notes.clear();
     if !found.uncovered.is_empty() {
         report.notes.push(format!(
-            "{} of {} regions out of tools' reach are not opened by giving up material over a clipping plane: they \
-             reach down to where the part is held. Other ways are tried for them.",
+            "No clipping plane opens {} of {} regions out of tools' reach, since they reach down to where the part is \
+             held: other ways were tried for them.",
             found.uncovered.len(),
             elements.len()
         ));
