@@ -504,10 +504,10 @@ mod tests {
                 );
                 let asked = voxels.iter().copied();
                 let uncut: Vec<DVec3> =
-                    asked.filter(|p| !tips.iter().any(|t| cuts(&tool, *t, *p, 0.13))).collect();
+                    asked.filter(|p| !tips.iter().any(|t| cuts(tool, *t, *p, 0.13))).collect();
                 left += uncut.len();
                 cut += voxels.len() - uncut.len();
-                assert_eq!(not_cut_from(tips.into_iter(), voxels, &tool, 0.13), uncut);
+                assert_eq!(not_cut_from(tips.into_iter(), voxels, tool, 0.13), uncut);
             }
         }
         assert!(cut > 1000 && left > 1000, "{cut} {left}");
