@@ -58,7 +58,8 @@ const PASSING_SHARE: f64 = 0.8;
 /// Tips on a way are looked at so far apart, in pitches.
 const APART_PITCH: f64 = 0.5;
 
-/// Tips are looked through by cells so many to a cutter's reach, no smaller than this, mm.
+/// Tips are looked through by cells so many to a cutter's reach: fewer hold tips that are out of reach, more cost looks of their
+/// own. No smaller than this, mm, for the memory that cells over a whole part take.
 const CELLS_PER_REACH: f64 = 8.0;
 const LEAST_CELL_MM: f64 = 0.2;
 
@@ -397,7 +398,7 @@ fn not_cut_from(
             if tips.first().is_none_or(|(_, tip)| tip.z > p.z + slack) {
                 return false;
             }
-            // Lower surfaces never fall outward: no tip is nearer than the nearest place of its cell.
+            // Lower surfaces never fall outward, and no tip is nearer than the nearest place of its cell, but for rounding.
             let [i, j] = [c % cells.n[0], c / cells.n[0]].map(|x| x as f64);
             let low = cells.origin + DVec2::new(i, j) * cells.side;
             let nearest = at.clamp(low, low + cells.side).distance(at) - SAME_HEIGHT_MM;
@@ -498,7 +499,7 @@ mod tests {
             for n in [0, 1, 40, 400] {
                 let voxels = some(300, [12.0, 9.0, 4.0]);
                 let mut tips = some(n, [14.0, 8.0, 6.0]);
-                // On the rims of cells too.
+                // At the rim of the edge's reach too.
                 tips.extend(
                     voxels.iter().take(n / 10).map(|p| p + DVec3::X * tool.active_radius()),
                 );
